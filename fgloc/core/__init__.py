@@ -1,0 +1,1 @@
+"""Ground floor: geometry, kinematics, measurements, drives, trajectories, evaluation."""

@@ -1,0 +1,352 @@
+"""One kinematics for every wheeled base: wheels give rows in the body twist, least squares solves.
+
+A wheel at (x, y) with steering angle d sees the contact velocity c = (v_x - y w, v_y + x w).
+Along its heading u = (cos d, sin d) and across it n = (-sin d, cos d):
+
+- fixed:   u·c = r·rate (rolling row) and n·c = 0 (no side slip);
+- roller:  g·c = r·rate·cos(gamma) with g = (cos(d+gamma), sin(d+gamma)) along the roller's axis,
+           so gamma = ±45° is a mecanum wheel and gamma = 0 an omni wheel or a skidding tyre;
+- passive: n·c = 0 only, no encoder.
+
+The base's twist is the weighted least-squares solution of all rows. Increments obey the same
+equations with angles for rates: what comes out is the body displacement as a twist times time,
+exact on an arc of constant twist (see `fgloc.core.geometry.exp`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numba
+import numpy as np
+
+from fgloc.core.measurements import Floats
+from fgloc.errors import FglocError
+
+WheelKind = Literal["fixed", "roller", "passive"]
+KINDS: tuple[WheelKind, ...] = ("fixed", "roller", "passive")
+FIXED, ROLLER, PASSIVE = range(3)
+X, Y, STEER, RADIUS = range(4)
+"""Columns of a wheel's primitive quantities."""
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """One wheel (or, passive, one constraint against side slip) in the base frame."""
+
+    name: str
+    """Identity, e.g. "fl"; encoders refer to it."""
+    x: float
+    """Contact point, forward of the base origin [m]."""
+    y: float
+    """Contact point, left of the base origin [m]."""
+    radius: float = 1.0
+    """Rolling radius [m]; has no meaning for a passive wheel."""
+    kind: WheelKind = "fixed"
+    """fixed: rolls, no side slip; roller: one row along the roller's axis; passive: no side slip."""
+    steer: float = 0.0
+    """Constant heading of the wheel [rad]; a measured steering angle is added to it."""
+    roller: float = 0.0
+    """Angle from the wheel's heading to its rollers' axis [rad]; roller wheels only."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One calibration variable, its nominal value and its prior."""
+
+    name: str
+    """Contract name, e.g. "effective_track" or "wheel_radius.left"."""
+    nominal: float
+    """Nominal value in `unit`."""
+    prior_sigma: float
+    """Standard deviation of the prior in `unit`; 0 keeps the parameter fixed at nominal."""
+    unit: str = "m"
+    """Physical unit of nominal and sigma: "m", "rad", "s", or "1"."""
+    log: bool = False
+    """True: the solver's variable is log(value / nominal); False: (value - nominal) / scale."""
+    scale: float = 1.0
+    """Unit of the additive solver variable, in `unit`."""
+
+    def to_value(self, u: float) -> float:
+        """Return the physical value of the solver's variable `u`."""
+        return self.nominal * float(np.exp(u)) if self.log else self.nominal + self.scale * u
+
+    def to_solver(self, value: float) -> float:
+        """Return the solver's variable of a physical value (inverse of `to_value`)."""
+        if self.log:
+            return float(np.log(value / self.nominal))
+        return (value - self.nominal) / self.scale
+
+    def derivative(self, u: float) -> float:
+        """Return d value / d u at `u`; turns solver sigmas into physical ones."""
+        return self.to_value(u) if self.log else self.scale
+
+    @property
+    def solver_sigma(self) -> float:
+        """Return the prior's standard deviation in the solver's variable."""
+        return self.prior_sigma / (self.nominal if self.log else self.scale)
+
+
+@dataclass(frozen=True)
+class WheeledBase:
+    """A list of wheels and the calibration parameters that shape it."""
+
+    kind: str
+    """Which constructor made it: "differential", "skid-steer", …; shown to the user."""
+    wheels: tuple[Wheel, ...]
+    """All wheels at nominal values."""
+    parameters: tuple[Parameter, ...] = ()
+    """Calibration parameters, in solver order."""
+    links: tuple[tuple[str, str, int, float], ...] = ()
+    """(parameter, wheel, primitive column X/Y/STEER/RADIUS, coefficient): primitive = coefficient·value,
+    or, for a STEER link, wheel.steer + coefficient·value."""
+    rolling_weight: float = 1.0
+    """Weight of rolling rows in the least squares."""
+    lateral_weight: float = 1.0
+    """Weight of no-side-slip rows in the least squares."""
+
+    def __post_init__(self) -> None:
+        names = [w.name for w in self.wheels]
+        if len(set(names)) != len(names):
+            raise FglocError(f"{self.kind}: two wheels have the same name: {names}")
+        for w in self.wheels:
+            if w.kind not in KINDS:
+                raise FglocError(f"wheel {w.name}: kind must be one of {', '.join(KINDS)}")
+            if w.kind != "passive" and not w.radius > 0.0:
+                raise FglocError(f"wheel {w.name}: radius must be positive, got {w.radius}")
+        known = {p.name for p in self.parameters}
+        for name, wheel, _, _ in self.links:
+            if name not in known or wheel not in names:
+                raise FglocError(f"link {name} -> {wheel} names an unknown parameter or wheel")
+        for p in self.parameters:
+            if p.log and not p.nominal > 0.0:
+                raise FglocError(f"{p.name} must be positive, got {p.nominal}")
+            if not p.prior_sigma >= 0.0:
+                raise FglocError(f"{p.name}: the prior's sigma must not be negative")
+
+    @property
+    def driven(self) -> tuple[int, ...]:
+        """Return the indices of the wheels that have an encoder."""
+        return tuple(i for i, w in enumerate(self.wheels) if w.kind != "passive")
+
+    @property
+    def driven_names(self) -> tuple[str, ...]:
+        """Return the names of the wheels that have an encoder, in column order."""
+        return tuple(self.wheels[i].name for i in self.driven)
+
+    def nominal(self) -> Floats:
+        """Return the (P,) nominal physical parameter values."""
+        return np.array([p.nominal for p in self.parameters], dtype=np.float64)
+
+    def primitives(self, values: Floats | None = None) -> Floats:
+        """Return the (W, 4) primitive quantities x, y, steer, radius for (P,) parameter values."""
+        base = np.array([[w.x, w.y, w.steer, w.radius] for w in self.wheels], dtype=np.float64)
+        values = self.nominal() if values is None else values
+        index = {p.name: k for k, p in enumerate(self.parameters)}
+        wheel = {w.name: i for i, w in enumerate(self.wheels)}
+        for name, target, column, coefficient in self.links:
+            moved = coefficient * float(values[index[name]])
+            i = wheel[target]
+            base[i, column] = self.wheels[i].steer + moved if column == STEER else moved
+        return base
+
+    def primitive_jacobian(self) -> Floats:
+        """Return the constant (4 W, P) derivative of the flattened primitives by the values."""
+        jacobian = np.zeros((4 * len(self.wheels), len(self.parameters)))
+        index = {p.name: k for k, p in enumerate(self.parameters)}
+        wheel = {w.name: i for i, w in enumerate(self.wheels)}
+        for name, target, column, coefficient in self.links:
+            jacobian[4 * wheel[target] + column, index[name]] = coefficient
+        return jacobian
+
+    def codes(self) -> tuple[Floats, Floats]:
+        """Return (W,) wheel kinds as FIXED/ROLLER/PASSIVE numbers and (W,) roller angles."""
+        kinds = np.array([KINDS.index(w.kind) for w in self.wheels], dtype=np.float64)
+        return kinds, np.array([w.roller for w in self.wheels], dtype=np.float64)
+
+    def with_values(self, values: dict[str, float]) -> WheeledBase:
+        """Return the base with other NOMINAL values (priors kept, log priors in the same ratio).
+
+        Raises FglocError for a name that is not a parameter of this base.
+        """
+        names = [p.name for p in self.parameters]
+        for name in values:
+            if name not in names:
+                raise FglocError(f"{self.kind} has no parameter {name}; it has {', '.join(names)}")
+        vector = np.array([values.get(p.name, p.nominal) for p in self.parameters])
+        moved = self.primitives(vector)
+        wheels = tuple(
+            replace(w, x=float(q[X]), y=float(q[Y]), radius=float(q[RADIUS]))
+            for w, q in zip(self.wheels, moved, strict=True)
+        )
+        parameters = tuple(
+            replace(p, nominal=float(v), prior_sigma=p.prior_sigma * (v / p.nominal if p.log else 1))
+            for p, v in zip(self.parameters, vector, strict=True)
+        )
+        return replace(self, wheels=wheels, parameters=parameters)
+
+    def displacements(
+        self, angles: Floats, steering: Floats | None = None, values: Floats | None = None
+    ) -> Floats:
+        """Return (N, 3) body displacements (dx, dy, dtheta as twist times time) of N intervals.
+
+        `angles` (N, D) wheel rotations [rad], `steering` (N, D) mean steering angles [rad],
+        `values` (P,) physical parameters (nominal when None). O(N) in compiled code.
+        Raises FglocError if the wheels do not determine all three degrees of freedom.
+        """
+        steering = np.zeros_like(angles) if steering is None else steering
+        kinds, rollers = self.codes()
+        out = np.empty((angles.shape[0], 3))
+        weights = np.array([self.rolling_weight, self.lateral_weight])
+        ok = _displacements(
+            np.ascontiguousarray(angles),
+            np.ascontiguousarray(steering),
+            self.primitives(values),
+            kinds,
+            rollers,
+            weights,
+            out,
+        )
+        if not ok:
+            raise FglocError(f"{self.kind}: these wheels do not determine the motion of the base")
+        return out
+
+
+@numba.njit(cache=True)
+def solve3(m: Floats, inverse: Floats) -> bool:
+    """Write the inverse of the symmetric 3×3 `m` into `inverse`; False if it is singular."""
+    c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]
+    c01 = m[1, 2] * m[2, 0] - m[1, 0] * m[2, 2]
+    c02 = m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0]
+    det = m[0, 0] * c00 + m[0, 1] * c01 + m[0, 2] * c02
+    if not abs(det) > 1e-12 * (abs(m[0, 0] * m[1, 1] * m[2, 2]) + 1e-300):
+        return False
+    inverse[0, 0] = c00 / det
+    inverse[0, 1] = (m[0, 2] * m[2, 1] - m[0, 1] * m[2, 2]) / det
+    inverse[0, 2] = (m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]) / det
+    inverse[1, 0] = c01 / det
+    inverse[1, 1] = (m[0, 0] * m[2, 2] - m[0, 2] * m[2, 0]) / det
+    inverse[1, 2] = (m[0, 2] * m[1, 0] - m[0, 0] * m[1, 2]) / det
+    inverse[2, 0] = c02 / det
+    inverse[2, 1] = (m[0, 1] * m[2, 0] - m[0, 0] * m[2, 1]) / det
+    inverse[2, 2] = (m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]) / det
+    return True
+
+
+@numba.njit(cache=True)
+def body_displacement(
+    angles: Floats,
+    steering: Floats,
+    primitives: Floats,
+    kinds: Floats,
+    rollers: Floats,
+    weights: Floats,
+    rows: Floats,
+    xi: Floats,
+    gain: Floats,
+    jacobian: Floats,
+    with_jacobian: bool,
+) -> int:
+    """Solve one interval; return the number of rows, or 0 if the base is not determined.
+
+    Fills `rows` (2W, 8: a_x a_y a_w, right side, weight, wheel, is-lateral, direction), the
+    displacement `xi` (3,), the gain d xi / d right side in `gain` (3, 2W) and, on request,
+    `jacobian` (3, 4W) = d xi / d primitives. With N = AᵀWA, differentiating N xi = AᵀW b gives
+    d xi = N⁻¹ [dAᵀ W (b - A xi) + AᵀW (db - dA xi)].
+    """
+    n = 0
+    normal = np.zeros((3, 3))
+    right = np.zeros(3)
+    driven = 0
+    for i in range(kinds.size):
+        x, y, steer, radius = primitives[i, 0], primitives[i, 1], primitives[i, 2], primitives[i, 3]
+        kind = int(kinds[i])
+        turn = 0.0
+        if kind != 2:
+            steer += steering[driven]
+            turn = angles[driven]
+            driven += 1
+            direction = steer + rollers[i] if kind == 1 else steer
+            c, s = np.cos(direction), np.sin(direction)
+            rows[n, 0], rows[n, 1], rows[n, 2] = c, s, x * s - y * c
+            rows[n, 3] = radius * turn * (np.cos(rollers[i]) if kind == 1 else 1.0)
+            rows[n, 4], rows[n, 5], rows[n, 6], rows[n, 7] = weights[0], i, 0.0, direction
+            n += 1
+        if kind != 1:
+            c, s = np.cos(steer), np.sin(steer)
+            rows[n, 0], rows[n, 1], rows[n, 2] = -s, c, x * c + y * s
+            rows[n, 3] = 0.0
+            rows[n, 4], rows[n, 5], rows[n, 6], rows[n, 7] = weights[1], i, 1.0, steer
+            n += 1
+    for k in range(n):
+        w = rows[k, 4]
+        for a in range(3):
+            right[a] += w * rows[k, a] * rows[k, 3]
+            for b in range(3):
+                normal[a, b] += w * rows[k, a] * rows[k, b]
+    inverse = np.empty((3, 3))
+    if not solve3(normal, inverse):
+        return 0
+    for a in range(3):
+        xi[a] = inverse[a, 0] * right[0] + inverse[a, 1] * right[1] + inverse[a, 2] * right[2]
+    for k in range(n):
+        for a in range(3):
+            gain[a, k] = rows[k, 4] * (
+                inverse[a, 0] * rows[k, 0] + inverse[a, 1] * rows[k, 1] + inverse[a, 2] * rows[k, 2]
+            )
+    if not with_jacobian:
+        return n
+    jacobian[:] = 0.0
+    for k in range(n):
+        i = int(rows[k, 5])
+        w = rows[k, 4]
+        residual = rows[k, 3] - (rows[k, 0] * xi[0] + rows[k, 1] * xi[1] + rows[k, 2] * xi[2])
+        ax, ay = rows[k, 0], rows[k, 1]
+        # The row is (ax, ay, x·ay - y·ax); turning it by the steering angle swaps ax, ay.
+        dsx, dsy = -ay, ax
+        x, y = primitives[i, 0], primitives[i, 1]
+        dsw = x * dsy - y * dsx
+        for a in range(3):
+            jacobian[a, 4 * i] += inverse[a, 2] * w * ay * residual - gain[a, k] * ay * xi[2]
+            jacobian[a, 4 * i + 1] += -inverse[a, 2] * w * ax * residual + gain[a, k] * ax * xi[2]
+            jacobian[a, 4 * i + 2] += (
+                (inverse[a, 0] * dsx + inverse[a, 1] * dsy + inverse[a, 2] * dsw) * w * residual
+            ) - gain[a, k] * (dsx * xi[0] + dsy * xi[1] + dsw * xi[2])
+            if rows[k, 6] == 0.0:
+                jacobian[a, 4 * i + 3] += gain[a, k] * rows[k, 3] / primitives[i, 3]
+    return n
+
+
+@numba.njit(cache=True)
+def _displacements(
+    angles: Floats,
+    steering: Floats,
+    primitives: Floats,
+    kinds: Floats,
+    rollers: Floats,
+    weights: Floats,
+    out: Floats,
+) -> bool:
+    """Fill `out` (N, 3) with the body displacement of every interval; False if undetermined."""
+    w = kinds.size
+    rows = np.empty((2 * w, 8))
+    gain = np.empty((3, 2 * w))
+    unused = np.empty((3, 4 * w))
+    for k in range(angles.shape[0]):
+        n = body_displacement(
+            angles[k],
+            steering[k],
+            primitives,
+            kinds,
+            rollers,
+            weights,
+            rows,
+            out[k],
+            gain,
+            unused,
+            False,
+        )
+        if n == 0:
+            return False
+    return True

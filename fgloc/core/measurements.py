@@ -1,0 +1,253 @@
+"""Typed measurements: one dataclass a sensor kind, each a structure of arrays over time.
+
+Every stream has a sensor name, int64 nanosecond stamps that strictly increase, and its own noise.
+A stream validates itself on construction, so code behind a reader never checks again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fgloc.errors import FglocError
+
+Floats = npt.NDArray[np.float64]
+Stamps = npt.NDArray[np.int64]
+
+
+def _check(sensor: str, stamps: Stamps, arrays: dict[str, npt.NDArray[Any]], rows: int) -> None:
+    """Raise FglocError unless stamps strictly increase and every array is finite with `rows` rows."""
+    if stamps.dtype != np.int64 or stamps.ndim != 1:
+        raise FglocError(f"{sensor}: stamps must be a one-dimensional int64 array of nanoseconds")
+    if stamps.size > 1 and not bool(np.all(np.diff(stamps) > 0)):
+        k = int(np.flatnonzero(np.diff(stamps) <= 0)[0]) + 1
+        raise FglocError(f"{sensor}: stamp {k} does not come after the one before it")
+    for name, values in arrays.items():
+        if values.shape[0] != rows:
+            raise FglocError(f"{sensor}: {name} has {values.shape[0]} rows, expected {rows}")
+        if not bool(np.all(np.isfinite(values))):
+            raise FglocError(f"{sensor}: {name} holds a value that is not finite")
+
+
+@dataclass(frozen=True)
+class WheelIncrements:
+    """What the encoders counted, as wheel angles between consecutive stamps."""
+
+    sensor: str
+    """Name of the stream in tables and results, e.g. "wheels"."""
+    stamps_ns: Stamps
+    """(N+1,) interval boundaries; increment k happened in (stamps_ns[k], stamps_ns[k+1]]."""
+    angles: Floats
+    """(N, W) rotation of each driven wheel in the interval [rad], forward positive."""
+    wheels: tuple[str, ...]
+    """Names of the W driven wheels, in column order (left/right, fl/fr/rl/rr, or the dataset's)."""
+    steering: Floats | None = None
+    """(N, W) mean steering angle of each driven wheel in the interval [rad]; None if not steered."""
+    resolution: float = 0.0
+    """Size of one encoder count [rad]; 0 for a continuous signal."""
+
+    def __post_init__(self) -> None:
+        n = self.stamps_ns.size - 1
+        if n < 1:
+            raise FglocError(f"{self.sensor}: at least two stamps are needed, got {n + 1}")
+        arrays: dict[str, npt.NDArray[Any]] = {"angles": self.angles}
+        if self.steering is not None:
+            arrays["steering"] = self.steering
+        _check(self.sensor, self.stamps_ns, arrays, n)
+        for name, values in arrays.items():
+            if values.shape != (n, len(self.wheels)):
+                raise FglocError(f"{self.sensor}: {name} must have shape ({n}, {len(self.wheels)})")
+
+
+@dataclass(frozen=True)
+class Yaw:
+    """Absolute heading from an IMU; its zero is arbitrary and may drift."""
+
+    sensor: str
+    """Name of the stream, e.g. "yaw"."""
+    stamps_ns: Stamps
+    """(N,) stamps."""
+    yaw: Floats
+    """(N,) heading [rad], wrapped or not, counter-clockwise positive."""
+    sigma: float
+    """Standard deviation of one reading [rad], quantisation included."""
+    drift_sigma: float = 0.0
+    """Random walk of the heading's zero [rad/sqrt(s)]."""
+    resolution: float = 0.0
+    """Quantisation step [rad]; 0 for a continuous signal."""
+
+    def __post_init__(self) -> None:
+        _check(self.sensor, self.stamps_ns, {"yaw": self.yaw}, self.stamps_ns.size)
+
+
+@dataclass(frozen=True)
+class YawRate:
+    """Angular rate about the vertical axis from a gyro."""
+
+    sensor: str
+    """Name of the stream, e.g. "gyro"."""
+    stamps_ns: Stamps
+    """(N,) stamps."""
+    rate: Floats
+    """(N,) yaw rate [rad/s]."""
+    density: float
+    """White noise density [rad/s/sqrt(Hz)]: an interval of T seconds has angle sigma density·sqrt(T)."""
+    bias_sigma: float = 0.01
+    """Prior standard deviation of the constant bias [rad/s]."""
+    bias_walk: float = 0.0
+    """Random walk of the bias [rad/s/sqrt(s)]."""
+
+    def __post_init__(self) -> None:
+        _check(self.sensor, self.stamps_ns, {"rate": self.rate}, self.stamps_ns.size)
+
+
+@dataclass(frozen=True)
+class Acceleration:
+    """Acceleration along body x."""
+
+    sensor: str
+    """Name of the stream, e.g. "acc"."""
+    stamps_ns: Stamps
+    """(N,) stamps."""
+    forward: Floats
+    """(N,) acceleration along body x [m/s²]."""
+
+    def __post_init__(self) -> None:
+        _check(self.sensor, self.stamps_ns, {"forward": self.forward}, self.stamps_ns.size)
+
+
+@dataclass(frozen=True)
+class CameraPoses:
+    """Poses of a visual(-inertial) odometry in its own frame, like a T265's: locally good, drifting."""
+
+    sensor: str
+    """Name of the stream, e.g. "camera"."""
+    stamps_ns: Stamps
+    """(N,) stamps."""
+    poses: Floats
+    """(N, 3) x [m], y [m], heading [rad] of the camera in the camera's odometry frame."""
+    position_walk: float
+    """Random walk of the position [m/sqrt(m)]."""
+    heading_walk: float
+    """Random walk of the heading [rad/sqrt(m)]."""
+    position_sigma: float = 1e-3
+    """White noise of one position [m]."""
+    heading_sigma: float = 1e-3
+    """White noise of one heading [rad]."""
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Nominal pose of the camera on the robot: x [m], y [m], yaw [rad]."""
+    mount_sigma: tuple[float, float, float] = (0.02, 0.02, 0.035)
+    """Prior standard deviations of the mount [m, m, rad]."""
+    scale_sigma: float = 0.01
+    """Prior standard deviation of the scale error (scale is 1 nominally)."""
+
+    def __post_init__(self) -> None:
+        _check(self.sensor, self.stamps_ns, {"poses": self.poses}, self.stamps_ns.size)
+
+
+@dataclass(frozen=True)
+class PositionFixes:
+    """Absolute positions of an antenna or marker in the map frame (GPS, total station, truth)."""
+
+    sensor: str
+    """Name of the stream, e.g. "gps" or "fixes"."""
+    stamps_ns: Stamps
+    """(N,) stamps."""
+    positions: Floats
+    """(N, 2) x, y in the map frame [m]."""
+    sigma: Floats
+    """(N, 2) standard deviations along map x and y [m]."""
+    mount: tuple[float, float] = (0.0, 0.0)
+    """Nominal position of the antenna on the robot (lever arm): x, y [m]."""
+    mount_sigma: tuple[float, float] = (0.0, 0.0)
+    """Prior standard deviations of the lever arm [m]; 0 means known exactly."""
+
+    def __post_init__(self) -> None:
+        n = self.stamps_ns.size
+        _check(self.sensor, self.stamps_ns, {"positions": self.positions, "sigma": self.sigma}, n)
+        if n and not bool(np.all(self.sigma > 0.0)):
+            raise FglocError(f"{self.sensor}: every sigma of a position fix must be positive")
+
+
+@dataclass(frozen=True)
+class PoseFixes:
+    """Absolute poses of a sensor in the map frame (map matching, motion capture)."""
+
+    sensor: str
+    """Name of the stream."""
+    stamps_ns: Stamps
+    """(N,) stamps."""
+    poses: Floats
+    """(N, 3) x, y [m], heading [rad] in the map frame."""
+    sigma: Floats
+    """(N, 3) standard deviations along map x, y [m] and of the heading [rad]."""
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Nominal pose of the sensor on the robot: x, y [m], yaw [rad]."""
+    mount_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Prior standard deviations of the mount [m, m, rad]; 0 means known exactly."""
+
+    def __post_init__(self) -> None:
+        n = self.stamps_ns.size
+        _check(self.sensor, self.stamps_ns, {"poses": self.poses, "sigma": self.sigma}, n)
+        if n and not bool(np.all(self.sigma > 0.0)):
+            raise FglocError(f"{self.sensor}: every sigma of a pose fix must be positive")
+
+
+@dataclass(frozen=True)
+class Scans:
+    """Planar laser scans."""
+
+    sensor: str
+    """Name of the stream, e.g. "lidar"."""
+    stamps_ns: Stamps
+    """(N,) stamp of the first beam of each scan."""
+    ranges: Floats
+    """(N, B) ranges [m]; 0 where the beam did not return."""
+    angle_min: float
+    """Angle of the first beam in the sensor frame [rad]."""
+    angle_increment: float
+    """Angle between beams [rad], signed."""
+    beam_period: float = 0.0
+    """Time between beams [s]."""
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Nominal pose of the lidar on the robot: x, y [m], yaw [rad]."""
+    mount_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Prior standard deviations of the mount [m, m, rad]."""
+
+    def __post_init__(self) -> None:
+        _check(self.sensor, self.stamps_ns, {"ranges": self.ranges}, self.stamps_ns.size)
+
+
+@dataclass(frozen=True)
+class LandmarkSightings:
+    """Range and bearing to landmarks with known identity. Stamps may repeat: one scan, many marks."""
+
+    sensor: str
+    """Name of the stream."""
+    stamps_ns: Stamps
+    """(N,) stamps, non-decreasing."""
+    landmark: npt.NDArray[np.int64]
+    """(N,) identity of the landmark."""
+    range_m: Floats
+    """(N,) distance [m]."""
+    bearing: Floats
+    """(N,) direction in the sensor frame [rad]."""
+    range_sigma: float = 0.1
+    """Standard deviation of a range [m]."""
+    bearing_sigma: float = 0.02
+    """Standard deviation of a bearing [rad]."""
+
+    def __post_init__(self) -> None:
+        n = self.stamps_ns.size
+        values = {"landmark": self.landmark, "range": self.range_m, "bearing": self.bearing}
+        _check(self.sensor, self.stamps_ns[:0], values, n)
+        if n > 1 and not bool(np.all(np.diff(self.stamps_ns) >= 0)):
+            raise FglocError(f"{self.sensor}: stamps go back in time")
+
+
+Sensor = (
+    Yaw | YawRate | Acceleration | CameraPoses | PositionFixes | PoseFixes | Scans | LandmarkSightings
+)

@@ -1,0 +1,111 @@
+"""The one interface of every filter and smoother, and what it returns."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+from fgloc.core.drive import Drive
+from fgloc.core.measurements import Floats, Stamps
+from fgloc.core.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class CalibrationEstimate:
+    """One calibration parameter after estimation; all values physical (m, rad, s, 1)."""
+
+    name: str
+    """Contract name, e.g. "effective_track"."""
+    nominal: float
+    """Value before estimation."""
+    value: float
+    """Estimated value."""
+    sigma: float
+    """Posterior standard deviation."""
+    prior_sigma: float
+    """Prior standard deviation."""
+    unit: str = "m"
+    """"m", "rad", "s" or "1"."""
+
+    @property
+    def observed(self) -> bool:
+        """Return True if the data told more than the prior: posterior sigma < half of prior sigma."""
+        return self.sigma < 0.5 * self.prior_sigma
+
+
+@dataclass(frozen=True)
+class SensorResiduals:
+    """Residuals of one sensor at the solution."""
+
+    sensor: str
+    """Sensor name."""
+    components: tuple[str, ...]
+    """Label with unit for each of the d components, e.g. ("x [m]", "y [m]")."""
+    stamps_ns: Stamps
+    """(M,) stamps."""
+    values: Floats
+    """(M, d) residuals in units."""
+    normalised: Floats
+    """(M, d) whitened residuals; standard normal if the noise model is right."""
+    weights: Floats
+    """(M,) robust weight of each measurement, 1 = fully believed."""
+
+
+@dataclass(frozen=True)
+class SensorCount:
+    """How many measurements of one sensor were used and how."""
+
+    accepted: int
+    """Used with (nearly) full weight."""
+    down_weighted: int = 0
+    """Used with a robust weight below 0.5."""
+    rejected: int = 0
+    """Not used at all (outside the drive, invalid, gated)."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What an estimator returns for one drive."""
+
+    method: str
+    """Method id: model1, model2, batch, …"""
+    drive: str
+    """Id of the drive."""
+    trajectory: Trajectory
+    """Poses of base_link in the map frame, covariances in map axes where the method has them."""
+    sensors_used: tuple[str, ...]
+    """Names of the streams that entered the estimate, wheels included."""
+    calibration: tuple[CalibrationEstimate, ...] = ()
+    """Estimated parameters; empty for methods that estimate none."""
+    residuals: tuple[SensorResiduals, ...] = ()
+    """Residuals per sensor; empty for methods without."""
+    counts: Mapping[str, SensorCount] = field(default_factory=dict)
+    """Accepted, down-weighted and rejected measurements per sensor."""
+    seconds: float = 0.0
+    """Time spent estimating [s], without reading and compiling."""
+    convergence: str = ""
+    """One line on how the optimiser ended; empty for filters."""
+    notes: tuple[str, ...] = ()
+    """What a user should know about this estimate."""
+
+
+class Estimator(Protocol):
+    """A filter or smoother: a method id and one function from drive to result."""
+
+    @property
+    def method(self) -> str:
+        """Return the method id."""
+        ...
+
+    def estimate(self, drive: Drive) -> Result:
+        """Estimate the trajectory; raises FglocError if the drive lacks a sensor it needs."""
+        ...
+
+
+def run(estimator: Estimator, drive: Drive) -> Result:
+    """Run an estimator on a drive and put the elapsed time into the result."""
+    begin = time.perf_counter()
+    result = estimator.estimate(drive)
+    return replace(result, seconds=time.perf_counter() - begin)
