@@ -12,7 +12,9 @@ class FglocError(Exception):
     and exits with 1. Everything that is not an `FglocError` is a defect of the program.
     """
 
-    def __init__(self, message: str, *, file: str | Path | None = None, line: int | None = None):
+    def __init__(
+        self, message: str, *, file: str | Path | None = None, line: int | None = None
+    ) -> None:
         where = ""
         if file is not None:
             where = f"{file}:{line}: " if line is not None else f"{file}: "

@@ -31,7 +31,7 @@ class CalibrationEstimate:
 
     @property
     def observed(self) -> bool:
-        """Return True if the data told more than the prior: posterior sigma < half of prior sigma."""
+        """Return True if the data told more than the prior: posterior sigma < half prior sigma."""
         return self.sigma < 0.5 * self.prior_sigma
 
 

@@ -27,7 +27,10 @@ def _radii(names: Sequence[str], radii: Sequence[float]) -> tuple[list[Parameter
 
 
 def differential(
-    radius_left: float, radius_right: float, track: float, order: tuple[str, str] = ("left", "right")
+    radius_left: float,
+    radius_right: float,
+    track: float,
+    order: tuple[str, str] = ("left", "right"),
 ) -> WheeledBase:
     """Return a differential drive: two fixed wheels at (0, ±track/2); radii and track in m.
 

@@ -44,7 +44,7 @@ class Wheel:
     radius: float = 1.0
     """Rolling radius [m]; has no meaning for a passive wheel."""
     kind: WheelKind = "fixed"
-    """fixed: rolls, no side slip; roller: one row along the roller's axis; passive: no side slip."""
+    """fixed: rolls, no side slip; roller: one row along the roller axis; passive: no side slip."""
     steer: float = 0.0
     """Constant heading of the wheel [rad]; a measured steering angle is added to it."""
     roller: float = 0.0
@@ -99,8 +99,8 @@ class WheeledBase:
     parameters: tuple[Parameter, ...] = ()
     """Calibration parameters, in solver order."""
     links: tuple[tuple[str, str, int, float], ...] = ()
-    """(parameter, wheel, primitive column X/Y/STEER/RADIUS, coefficient): primitive = coefficient·value,
-    or, for a STEER link, wheel.steer + coefficient·value."""
+    """(parameter, wheel, primitive column X/Y/STEER/RADIUS, coefficient):
+    primitive = coefficient·value or, for a STEER link, wheel.steer + coefficient·value."""
     rolling_weight: float = 1.0
     """Weight of rolling rows in the least squares."""
     lateral_weight: float = 1.0
@@ -181,7 +181,9 @@ class WheeledBase:
             for w, q in zip(self.wheels, moved, strict=True)
         )
         parameters = tuple(
-            replace(p, nominal=float(v), prior_sigma=p.prior_sigma * (v / p.nominal if p.log else 1))
+            replace(
+                p, nominal=float(v), prior_sigma=p.prior_sigma * (v / p.nominal if p.log else 1)
+            )
             for p, v in zip(self.parameters, vector, strict=True)
         )
         return replace(self, wheels=wheels, parameters=parameters)

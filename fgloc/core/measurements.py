@@ -19,7 +19,7 @@ Stamps = npt.NDArray[np.int64]
 
 
 def _check(sensor: str, stamps: Stamps, arrays: dict[str, npt.NDArray[Any]], rows: int) -> None:
-    """Raise FglocError unless stamps strictly increase and every array is finite with `rows` rows."""
+    """Raise FglocError unless stamps strictly increase and arrays are finite with `rows` rows."""
     if stamps.dtype != np.int64 or stamps.ndim != 1:
         raise FglocError(f"{sensor}: stamps must be a one-dimensional int64 array of nanoseconds")
     if stamps.size > 1 and not bool(np.all(np.diff(stamps) > 0)):
@@ -45,7 +45,7 @@ class WheelIncrements:
     wheels: tuple[str, ...]
     """Names of the W driven wheels, in column order (left/right, fl/fr/rl/rr, or the dataset's)."""
     steering: Floats | None = None
-    """(N, W) mean steering angle of each driven wheel in the interval [rad]; None if not steered."""
+    """(N, W) mean steering angle of each driven wheel in the interval [rad]; None: not steered."""
     resolution: float = 0.0
     """Size of one encoder count [rad]; 0 for a continuous signal."""
 
@@ -94,7 +94,7 @@ class YawRate:
     rate: Floats
     """(N,) yaw rate [rad/s]."""
     density: float
-    """White noise density [rad/s/sqrt(Hz)]: an interval of T seconds has angle sigma density·sqrt(T)."""
+    """White noise density [rad/s/sqrt(Hz)]: over T seconds the angle has sigma density·sqrt(T)."""
     bias_sigma: float = 0.01
     """Prior standard deviation of the constant bias [rad/s]."""
     bias_walk: float = 0.0
@@ -121,7 +121,7 @@ class Acceleration:
 
 @dataclass(frozen=True)
 class CameraPoses:
-    """Poses of a visual(-inertial) odometry in its own frame, like a T265's: locally good, drifting."""
+    """Poses of a visual(-inertial) odometry in its own frame, as a T265 gives; it drifts."""
 
     sensor: str
     """Name of the stream, e.g. "camera"."""
@@ -223,7 +223,7 @@ class Scans:
 
 @dataclass(frozen=True)
 class LandmarkSightings:
-    """Range and bearing to landmarks with known identity. Stamps may repeat: one scan, many marks."""
+    """Range and bearing to landmarks of known identity; stamps may repeat: one scan, many marks."""
 
     sensor: str
     """Name of the stream."""
@@ -249,5 +249,12 @@ class LandmarkSightings:
 
 
 Sensor = (
-    Yaw | YawRate | Acceleration | CameraPoses | PositionFixes | PoseFixes | Scans | LandmarkSightings
+    Yaw
+    | YawRate
+    | Acceleration
+    | CameraPoses
+    | PositionFixes
+    | PoseFixes
+    | Scans
+    | LandmarkSightings
 )

@@ -1,0 +1,1 @@
+"""The simulator: robots, motions, sensors and what goes wrong with them."""

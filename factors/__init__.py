@@ -1,0 +1,1 @@
+"""Factors: residuals with exact Jacobians, and tables of them."""

@@ -1,0 +1,1 @@
+"""Compiled scalar kernels, one subject a file: a residual and its Jacobians."""

@@ -1,0 +1,1 @@
+"""One module a command, `run(args)` -> exit status; only the one asked for is imported."""

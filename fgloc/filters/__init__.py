@@ -1,0 +1,1 @@
+"""Filters: the dead-reckoning models and, later, the Kalman baselines."""

@@ -1,0 +1,1 @@
+"""Tables, figures and the folder that a run writes into."""

@@ -1,0 +1,1 @@
+"""The factor graph and the engines that solve it."""
