@@ -1,1 +1,1 @@
-"""Factors: residuals with exact Jacobians, and tables of them."""
+"""Factors: residual kernels with analytic Jacobians, and tables that hold them by the thousand."""

@@ -164,6 +164,8 @@ class PositionFixes:
     """Nominal position of the antenna on the robot (lever arm): x, y [m]."""
     mount_sigma: tuple[float, float] = (0.0, 0.0)
     """Prior standard deviations of the lever arm [m]; 0 means known exactly."""
+    mount_name: str = ""
+    """Sensor whose mounting this is, calibrated as `<name>_x/_y`; empty for the stream's own."""
 
     def __post_init__(self) -> None:
         n = self.stamps_ns.size
@@ -188,6 +190,8 @@ class PoseFixes:
     """Nominal pose of the sensor on the robot: x, y [m], yaw [rad]."""
     mount_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Prior standard deviations of the mount [m, m, rad]; 0 means known exactly."""
+    mount_name: str = ""
+    """Sensor whose mounting this is, calibrated as `<name>_x/_y/_yaw`; empty for the stream's own."""
 
     def __post_init__(self) -> None:
         n = self.stamps_ns.size

@@ -19,6 +19,8 @@ class WheelNoise:
     """Scrub when turning: sigma of the heading [rad/sqrt(rad)] over the turned angle."""
     standing: float = 1e-4
     """Floor for a standing robot [m/sqrt(s)], so that no interval is certain."""
+    standing_turn: float = 5e-4
+    """The same floor for the heading [rad/sqrt(s)]."""
 
 
 @dataclass(frozen=True)

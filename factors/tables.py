@@ -1,0 +1,230 @@
+"""Factor tables: every factor of one sensor as arrays, linearised in one compiled loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numba
+import numpy as np
+
+from fgloc.core.measurements import Floats, Stamps
+from fgloc.factors.kernels.camera import camera_odometry
+from fgloc.factors.kernels.fix import pose_fix, position_fix
+from fgloc.factors.kernels.heading import yaw, yaw_rate, zero_prior, zero_walk
+from fgloc.factors.kernels.wheel import wheel_odometry
+from fgloc.factors.robust import Loss
+
+
+class Kind(IntEnum):
+    """Which kernel a table uses; the number is what the compiled dispatch understands."""
+
+    WHEEL = 0
+    YAW = 1
+    YAW_RATE = 2
+    ZERO_WALK = 3
+    ZERO_PRIOR = 4
+    CAMERA = 5
+    POSITION_FIX = 6
+    POSE_FIX = 7
+
+
+KERNELS: dict[Kind, Callable[..., None]] = {
+    Kind.WHEEL: wheel_odometry,
+    Kind.YAW: yaw,
+    Kind.YAW_RATE: yaw_rate,
+    Kind.ZERO_WALK: zero_walk,
+    Kind.ZERO_PRIOR: zero_prior,
+    Kind.CAMERA: camera_odometry,
+    Kind.POSITION_FIX: position_fix,
+    Kind.POSE_FIX: pose_fix,
+}
+"""The kernels by kind, for tests and for single factors; the compiled loop dispatches itself."""
+
+COMPONENTS: dict[Kind, tuple[str, ...]] = {
+    Kind.WHEEL: ("forward [m]", "left [m]", "heading [rad]"),
+    Kind.YAW: ("heading [rad]",),
+    Kind.YAW_RATE: ("turned angle [rad]",),
+    Kind.ZERO_WALK: ("change of zero [rad]",),
+    Kind.ZERO_PRIOR: ("zero [rad]",),
+    Kind.CAMERA: ("forward [m]", "left [m]", "heading [rad]"),
+    Kind.POSITION_FIX: ("x [m]", "y [m]"),
+    Kind.POSE_FIX: ("x [m]", "y [m]", "heading [rad]"),
+}
+"""Residual components with units; their number is the residual's dimension."""
+
+PAIRWISE = frozenset({Kind.WHEEL, Kind.YAW_RATE, Kind.ZERO_WALK, Kind.CAMERA})
+"""Kinds that join keyframe `first` and the one after it."""
+
+
+@dataclass(frozen=True)
+class FactorTable:
+    """All factors of one type and sensor."""
+
+    kind: Kind
+    """Which residual."""
+    sensor: str
+    """Sensor name for results."""
+    first: Stamps
+    """(M,) keyframe index of each factor; pairwise kinds join it to the next keyframe."""
+    measurements: Floats
+    """(M, m) measurement rows as the kernel documents them."""
+    sqrt_information: Floats
+    """(M, d, d) S with SᵀS = inverse covariance; the whitened residual is S r."""
+    calibration: slice
+    """Columns of the global calibration vector that the kernel receives; empty slice for none."""
+    loss: Loss = Loss()
+    """Robust loss of the whole residual."""
+    slot: int = -1
+    """State column of the sensor's drifting zero, -1 for none."""
+
+    @property
+    def pairwise(self) -> bool:
+        """Return True if each factor joins keyframe `first` and the next."""
+        return self.kind in PAIRWISE
+
+    @property
+    def dimension(self) -> int:
+        """Return the dimension d of the residual."""
+        return len(COMPONENTS[self.kind])
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Whitened residuals and Jacobians of one table at one state; not yet robustly weighted."""
+
+    residual: Floats
+    """(M, d)."""
+    by_first: Floats
+    """(M, d, B)."""
+    by_second: Floats
+    """(M, d, B); zeros and unused for factors of one keyframe."""
+    by_calibration: Floats
+    """(M, d, G_table)."""
+
+
+def linearise(table: FactorTable, states: Floats, calibration: Floats) -> Linearised:
+    """Linearise all factors of a table at (K, B) states and the whole calibration vector. O(M)."""
+    m, d, b = table.first.size, table.dimension, states.shape[1]
+    g = calibration[table.calibration]
+    out = Linearised(
+        np.zeros((m, d)), np.zeros((m, d, b)), np.zeros((m, d, b)), np.zeros((m, d, g.size))
+    )
+    _linearise(
+        int(table.kind),
+        1 if table.pairwise else 0,
+        table.first,
+        table.measurements,
+        table.sqrt_information,
+        table.slot,
+        states,
+        np.ascontiguousarray(g),
+        out.residual,
+        out.by_first,
+        out.by_second,
+        out.by_calibration,
+    )
+    return out
+
+
+def residuals(table: FactorTable, states: Floats, calibration: Floats) -> Floats:
+    """Return the (M, d) residuals in units (not whitened) at a state."""
+    d = table.dimension
+    plain = np.broadcast_to(np.eye(d), (table.first.size, d, d))
+    copy = FactorTable(
+        table.kind,
+        table.sensor,
+        table.first,
+        table.measurements,
+        np.ascontiguousarray(plain),
+        table.calibration,
+        slot=table.slot,
+    )
+    return linearise(copy, states, calibration).residual
+
+
+@numba.njit(cache=True)
+def _evaluate(
+    kind: int,
+    xi: Floats,
+    xj: Floats,
+    g: Floats,
+    m: Floats,
+    slot: int,
+    r: Floats,
+    ji: Floats,
+    jj: Floats,
+    jg: Floats,
+) -> None:
+    """Call the kernel of `kind`; numba cannot cache a loop that takes the kernel as an argument."""
+    if kind == 0:
+        wheel_odometry(xi, xj, g, m, slot, r, ji, jj, jg)
+    elif kind == 1:
+        yaw(xi, xj, g, m, slot, r, ji, jj, jg)
+    elif kind == 2:
+        yaw_rate(xi, xj, g, m, slot, r, ji, jj, jg)
+    elif kind == 3:
+        zero_walk(xi, xj, g, m, slot, r, ji, jj, jg)
+    elif kind == 4:
+        zero_prior(xi, xj, g, m, slot, r, ji, jj, jg)
+    elif kind == 5:
+        camera_odometry(xi, xj, g, m, slot, r, ji, jj, jg)
+    elif kind == 6:
+        position_fix(xi, xj, g, m, slot, r, ji, jj, jg)
+    else:
+        pose_fix(xi, xj, g, m, slot, r, ji, jj, jg)
+
+
+@numba.njit(cache=True)
+def _whiten(s: Floats, values: Floats, scratch: Floats) -> None:
+    """Replace `values` (d, n) by s·values, using `scratch` of at least d entries."""
+    d = s.shape[0]
+    for col in range(values.shape[1]):
+        for a in range(d):
+            scratch[a] = values[a, col]
+        for a in range(d):
+            total = 0.0
+            for b in range(d):
+                total += s[a, b] * scratch[b]
+            values[a, col] = total
+
+
+@numba.njit(cache=True)
+def _linearise(
+    kind: int,
+    step: int,
+    first: Stamps,
+    measurements: Floats,
+    sqrt_information: Floats,
+    slot: int,
+    states: Floats,
+    g: Floats,
+    residual: Floats,
+    by_first: Floats,
+    by_second: Floats,
+    by_calibration: Floats,
+) -> None:
+    """Evaluate and whiten every factor of a table into the (zeroed) outputs."""
+    scratch = np.empty(residual.shape[1])
+    for k in range(first.size):
+        i = first[k]
+        r = residual[k]
+        _evaluate(
+            kind,
+            states[i],
+            states[i + step],
+            g,
+            measurements[k],
+            slot,
+            r,
+            by_first[k],
+            by_second[k],
+            by_calibration[k],
+        )
+        s = sqrt_information[k]
+        _whiten(s, r.reshape(r.size, 1), scratch)
+        _whiten(s, by_first[k], scratch)
+        if step == 1:
+            _whiten(s, by_second[k], scratch)
+        _whiten(s, by_calibration[k], scratch)
