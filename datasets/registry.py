@@ -1,0 +1,191 @@
+"""From what a user types to a `Drive`: paths, `dataset:run` ids and patterns over runs.
+
+A recording that is found is read as it is; checksums belong to `fgloc.datasets.fetch`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+from fgloc.core.drive import Drive
+from fgloc.datasets import jackal_jackass, optiodom, vitko_swerve
+from fgloc.errors import FglocError
+
+SIMULATED = "sim"
+"""Prefix of drives that are made, not read: `sim:NAME?seed=1&key=value`."""
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A family of recordings that this package can read."""
+
+    name: str
+    """Name in ids and of the folder below a data folder."""
+    robot: str
+    """What drove, for the user."""
+    licence: str
+    """Terms of the recordings."""
+    origin: str
+    """Where it is published."""
+    example: str
+    """One run, for messages."""
+    runs: Callable[[Path], list[str]]
+    """Lists the runs in the dataset's folder."""
+    load: Callable[[Path, str, str], Drive]
+    """Reads (folder, run, id of the drive)."""
+
+
+DATASETS: dict[str, Dataset] = {
+    d.name: d
+    for d in (
+        Dataset(
+            vitko_swerve.NAME,
+            "four-wheel-steer wall climber",
+            "none stated; research data",
+            "https://github.com/JakVit/4WIS4WID_parameter_calibration",
+            "1",
+            vitko_swerve.runs,
+            vitko_swerve.load,
+        ),
+        Dataset(
+            optiodom.NAME,
+            "differential, omni-3, mecanum, tricycle",
+            "MIT",
+            "https://github.com/sousarbarb/optiodom",
+            "diff/circular/250620202251/01",
+            optiodom.runs,
+            optiodom.load,
+        ),
+        Dataset(
+            jackal_jackass.NAME,
+            "Clearpath Jackal, skid-steer",
+            "MIT (stated in its README)",
+            "https://github.com/LeoBrizi/jackass-calibrator",
+            "0",
+            jackal_jackass.runs,
+            jackal_jackass.load,
+        ),
+    )
+}
+"""All readable datasets by name."""
+
+
+def cache_folder() -> Path:
+    """Return where fetched datasets go: $XDG_CACHE_HOME/fgloc, else ~/.cache/fgloc."""
+    cache = os.environ.get("XDG_CACHE_HOME")
+    return (Path(cache) if cache else Path.home() / ".cache") / "fgloc"
+
+
+def search_path(data: Path | None = None) -> list[Path]:
+    """Return the folders that are searched: `data`, $FGLOC_DATA, the user's cache."""
+    environment = os.environ.get("FGLOC_DATA")
+    return [
+        *([data] if data is not None else []),
+        *([Path(environment)] if environment else []),
+        cache_folder(),
+    ]
+
+
+def dataset(name: str) -> Dataset:
+    """Return a dataset by name; raises FglocError naming the known ones and the nearest."""
+    if name in DATASETS:
+        return DATASETS[name]
+    known = [*DATASETS, SIMULATED]
+    near = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean {near[0]}? " if near else ""
+    raise FglocError(f"no dataset is called {name!r}; {hint}known are {', '.join(known)}")
+
+
+def find_folder(name: str, data: Path | None = None) -> Path:
+    """Return the folder of a dataset that holds runs.
+
+    Raises FglocError if no such dataset exists, or it is not on this machine.
+    """
+    kind = dataset(name)
+    if data is not None and not data.is_dir():
+        raise FglocError("no such data folder; check the path given to --data", file=data)
+    for root in search_path(data):
+        for folder in (root / name, root):
+            if folder.name == name and folder.is_dir() and kind.runs(folder):
+                return folder
+    places = ", ".join(str(p) for p in search_path(data))
+    raise FglocError(
+        f"dataset {name} is not on this machine (looked in {places}); "
+        f"get it with: fgloc datasets fetch {name}"
+    )
+
+
+def list_drives(name: str, data: Path | None = None) -> list[str]:
+    """Return the ids of all runs of a dataset that are on this machine, in its own order."""
+    return [f"{name}:{run}" for run in dataset(name).runs(find_folder(name, data))]
+
+
+def is_dataset_id(drive_id: str) -> bool:
+    """Return True if this reads as `dataset:run` rather than as a path."""
+    head, colon, _ = drive_id.partition(":")
+    if head in DATASETS or head == SIMULATED:
+        return not (head == drive_id and Path(drive_id).exists())
+    return bool(colon) and bool(re.fullmatch(r"\w[\w-]+", head)) and not Path(drive_id).exists()
+
+
+def expand(drive_ids: Sequence[str], data: Path | None = None) -> list[str]:
+    """Return the ids with `dataset:all` and patterns (`optiodom:diff/circular/*`) written out.
+
+    Order is kept, doubles are dropped. Raises FglocError for a pattern that matches nothing.
+    """
+    found: list[str] = []
+    for drive_id in drive_ids:
+        name, _, run = drive_id.partition(":")
+        pattern = "*" if run == "all" else run
+        if not is_dataset_id(drive_id) or name == SIMULATED or not re.search(r"[*?\[]", pattern):
+            found.append(drive_id)
+            continue
+        drives = list_drives(name, data)
+        matches = [d for d in drives if fnmatchcase(d, f"{name}:{pattern}")]
+        if not matches:
+            raise FglocError(f"no run matches {drive_id}; there are {_short(drives)}")
+        found += matches
+    return list(dict.fromkeys(found))
+
+
+def load_drive(drive_id: str, data: Path | None = None) -> Drive:
+    """Return the drive a user named: a path, `dataset:run` or `sim:NAME?seed=1&key=value`.
+
+    `data` is searched before $FGLOC_DATA and the user's cache. Raises FglocError for an unknown
+    dataset or run, a dataset that is not here, a missing file, or content that cannot be read.
+    """
+    name, _, run = drive_id.partition(":")
+    if not is_dataset_id(drive_id):
+        return _load_path(Path(drive_id), drive_id)
+    if name == SIMULATED:
+        from fgloc.datasets.simulator import load_sim
+
+        return load_sim(run)
+    kind = dataset(name)
+    if not run:
+        raise FglocError(f"{drive_id} lacks a run; write it like {name}:{kind.example}")
+    folder = find_folder(name, data)
+    known = kind.runs(folder)
+    if run not in known:
+        near = difflib.get_close_matches(run, known, n=3, cutoff=0.85)
+        there = f"near it: {', '.join(near)}" if near else f"there are {_short(known)}"
+        raise FglocError(f"{name} has no run {run!r} here; {there}")
+    return kind.load(folder, run, drive_id)
+
+
+def _short(names: Sequence[str], most: int = 6) -> str:
+    """Return the names as a short list for a message."""
+    if len(names) <= most:
+        return ", ".join(names)
+    return f"{', '.join(names[: most - 1])}, … {names[-1]} ({len(names)} in all)"
+
+
+def _load_path(path: Path, name: str) -> Drive:
+    """Return the drive in a file or folder, its format guessed from suffix and content."""
+    raise FglocError("no such file or folder; check the path", file=path)
