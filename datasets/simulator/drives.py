@@ -1,0 +1,174 @@
+"""The named simulated drives: from `NAME?key=value&…` to a `Drive` with its truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fgloc.core.drive import Drive, Reference
+from fgloc.core.kinematics import WheeledBase
+from fgloc.core.measurements import Floats
+from fgloc.core.robot import WheelNoise
+from fgloc.core.trajectory import Trajectory
+from fgloc.datasets.simulator import seed_a
+from fgloc.datasets.simulator.course import Course, roll
+from fgloc.datasets.simulator.faults import Slip, apply_slip, describe, parse_slips
+from fgloc.datasets.simulator.models import FixModel
+from fgloc.datasets.simulator.motions import MOTIONS, Limits
+from fgloc.datasets.simulator.robots import RobotModel, build
+from fgloc.datasets.simulator.sensors import cut_normal, measure_all, measure_wheels
+from fgloc.datasets.simulator.spec import SimSpec, parse
+from fgloc.datasets.simulator.streams import generator
+from fgloc.errors import FglocError
+
+NAMED: dict[str, SimSpec] = {
+    **{n: SimSpec(n) for n in ("figure-eight", "square", "random", "corridor")},
+    "demo": SimSpec(
+        "demo",
+        effective_track=0.62,
+        radius_sigma=0.01,
+        slip="on",
+        fix=FixModel(every=10.0, sigma=0.05),
+    ),
+    **seed_a.SPECS,
+}
+"""All simulated drives by name, with their own settings."""
+
+FINE_STEP_NS = 5_000_000
+COARSE_STEP_NS = 20_000_000
+LONG_NS = 600_000_000_000
+"""Drives longer than this are simulated in coarse steps."""
+
+
+def load_sim(spec: str) -> Drive:
+    """Return the simulated drive of `NAME?key=value&…` (without the prefix `sim:`).
+
+    Deterministic: the same text gives the same drive. Raises FglocError for an unknown name, key
+    or value, with what there is. O(duration): 10,000 s at 10 Hz take about a second.
+    """
+    settings = parse(spec, NAMED)
+    name = f"sim:{spec}"
+    if settings.name in seed_a.SPECS:
+        return seed_a.build_drive(settings, name)
+    return simulate(settings, name)
+
+
+def true_values(model: RobotModel, spec: SimSpec) -> Floats:
+    """Return the (P,) true parameters: drawn from the priors, or nominal, then as stated.
+
+    Nothing drawn lies beyond 2.5 sigma. Raises FglocError for a track where the robot has none.
+    """
+    base = model.robot.base
+    drawn = cut_normal(generator(spec.seed, "calibration"), len(base.parameters))
+    values = base.nominal()
+    if spec.calibration == "drawn":
+        for k, p in enumerate(base.parameters):
+            sigma = p.solver_sigma
+            if spec.radius_sigma is not None and p.name.startswith("wheel_radius."):
+                sigma = spec.radius_sigma
+            values[k] = p.to_value(sigma * float(drawn[k]))
+    if spec.effective_track is not None:
+        names = [p.name for p in base.parameters]
+        if "effective_track" not in names:
+            raise FglocError(
+                f"effective_track: robot={spec.robot} has no track; use robot=skid or differential"
+            )
+        values[names.index("effective_track")] = spec.effective_track
+    return values
+
+
+def _disturb(
+    wanted: Floats, noise: WheelNoise, step_s: float, factor: float, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Return (true, rolled) displacements (M, 3) for wanted ones: random slip as the noise says.
+
+    The base drives where it should, except that it slips sideways; the wheels turn more or less
+    than the base moves. White over distance and turned angle, as `WheelNoise` defines it.
+    """
+    drawn = factor * rng.standard_normal(wanted.shape)
+    distance = np.hypot(wanted[:, 0], wanted[:, 1])
+    floor = noise.standing**2 * step_s * (distance > 0.0)
+    true, rolled = wanted.copy(), wanted.copy()
+    true[:, 1] += drawn[:, 1] * np.sqrt(noise.lateral**2 * distance + floor)
+    rolled[:, 0] -= drawn[:, 0] * np.sqrt(noise.rolling**2 * distance + floor)
+    rolled[:, 2] -= drawn[:, 2] * noise.turning * np.sqrt(np.abs(wanted[:, 2]))
+    return true, rolled
+
+
+def _slips(
+    spec: SimSpec, base: WheeledBase, tick: float, rate: float, end: float
+) -> tuple[Slip, ...]:
+    """Return the slips of the spec; "on" is three intervals: one wheel, one side, another wheel."""
+    names = base.driven_names
+    if spec.slip == "off":
+        return ()
+    if spec.slip != "on":
+        return parse_slips(spec.slip, names, tick, rate)
+    side = tuple(n for n in names if base.wheels[base.driven[names.index(n)]].y > 0.0) or names[:1]
+    first, second, third = 0.15 * end, 0.45 * end, 0.75 * end
+    return (
+        Slip(names[:1], first, first + 0.03 * end, 1.3),
+        Slip(side, second, second + 0.02 * end, 1.2),
+        Slip(names[-1:], third, third + 0.03 * end, 1.3),
+    )
+
+
+def simulate(spec: SimSpec, name: str) -> Drive:
+    """Return the drive of a spec whose motion is one of `MOTIONS`, under the id `name`."""
+    model = build(spec.robot, spec.nominal_track)
+    base = model.robot.base
+    rate = spec.rate if spec.rate is not None else model.encoder_hz
+    if rate > 1e9 / FINE_STEP_NS:
+        raise FglocError(f"rate={rate}: at most {1e9 / FINE_STEP_NS:g} Hz can be simulated")
+    limits = Limits(
+        spec.speed if spec.speed is not None else model.speed,
+        model.turn_rate,
+        model.acceleration,
+        model.turn_acceleration,
+        model.holonomic,
+        spec.robot != "tricycle",
+    )
+    duration = spec.keyframes / rate if spec.keyframes is not None else spec.duration
+    profile = MOTIONS[spec.name](limits, duration, generator(spec.seed, "motion"))
+    # A whole number of packets, so that the last one ends with the drive.
+    packets = np.ceil((profile.duration_s if duration is None else duration) * rate - 1e-6)
+    total_ns = round(packets / rate * 1e9)
+    step_ns = FINE_STEP_NS if total_ns <= LONG_NS else COARSE_STEP_NS
+    steps = -(-total_ns // step_ns)
+    wanted = profile.displacements(step_ns * 1e-9, steps)
+
+    values = true_values(model, spec)
+    truth_by_name = {p.name: float(v) for p, v in zip(base.parameters, values, strict=True)}
+    if "icr_x" in truth_by_name:
+        wanted[:, 1] = -truth_by_name["icr_x"] * wanted[:, 2]
+    true, rolled = _disturb(
+        wanted,
+        model.robot.noise,
+        step_ns * 1e-9,
+        spec.wheel_noise,
+        generator(spec.seed, "rolling"),
+    )
+    course = Course.follow(true, step_ns)
+    angles, steering = roll(base, values, model.steered, wanted, rolled)
+    encoder = spec.encoder
+    if encoder.ticks < 0:
+        encoder = replace(encoder, ticks=model.ticks)
+    tick = 2.0 * np.pi / max(encoder.ticks, 1)
+    slips = _slips(spec, base, tick, rate, total_ns * 1e-9)
+    angles = apply_slip(angles, course.boundaries_ns, base.driven_names, slips)
+    wheels = measure_wheels(
+        course, angles, steering, base.driven_names, rate, encoder, generator(spec.seed, "encoder")
+    )
+    sensors, mounts = measure_all(course, spec)
+    stamps = course.stamps(spec.truth_rate if spec.truth_rate is not None else rate)
+    truth = Trajectory(stamps, course.poses_at(stamps))
+    return Drive(
+        name,
+        model.robot,
+        wheels,
+        sensors,
+        Reference(truth, "truth", (1e-4, 1e-4, 1e-4)),
+        notes=describe(slips),
+        true_calibration=truth_by_name | mounts,
+    )
