@@ -1,1 +1,1 @@
-"""The factor graph and the engines that solve it."""
+"""The smoothers: the graph as factor tables, and the engines that solve it."""

@@ -1,0 +1,112 @@
+"""The batch smoother: a whole drive at once, trajectory and calibration together."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fgloc.core.drive import Drive
+from fgloc.core.geometry import rotate_covariance
+from fgloc.core.trajectory import Trajectory
+from fgloc.estimator import CalibrationEstimate, Result, SensorCount, SensorResiduals
+from fgloc.factors.tables import COMPONENTS, Kind, residuals
+from fgloc.smoothing.optimise import Solution, optimise
+from fgloc.smoothing.problem import Problem, build_problem
+from fgloc.smoothing.settings import Settings
+
+DOWN_WEIGHTED = 0.5
+"""A factor whose robust weight is below this counts as down-weighted."""
+HIDDEN = (Kind.ZERO_WALK, Kind.ZERO_PRIOR)
+"""Tables that are a sensor's model, not its measurements."""
+
+
+class BatchSmoother:
+    """Smooths a drive: wheels with calibration variables and whatever else was measured."""
+
+    def __init__(self, settings: Settings | None = None) -> None:
+        self.settings = settings if settings is not None else Settings()
+
+    @property
+    def method(self) -> str:
+        """Return "batch"."""
+        return "batch"
+
+    def estimate(self, drive: Drive) -> Result:
+        """Return keyframe poses with covariances, calibration, residuals and counts.
+
+        Raises FglocError where the drive cannot be smoothed (no overlap, undetermined wheels).
+        """
+        problem = build_problem(drive, self.settings)
+        solution = optimise(problem, self.settings)
+        return _result(self.method, drive, problem, solution)
+
+
+def _result(method: str, drive: Drive, problem: Problem, solution: Solution) -> Result:
+    """Turn a solution into the public result."""
+    poses = solution.states[:, :3]
+    covariances = None
+    if solution.covariance is not None:
+        covariances = rotate_covariance(solution.covariance[:, :3, :3], poses[:, 2])
+        covariances = 0.5 * (covariances + covariances.swapaxes(1, 2))
+    used = tuple(name for name, (count, _) in problem.counts.items() if count > 0)
+    ended = "converged" if solution.converged else "did NOT converge"
+    return Result(
+        method=method,
+        drive=drive.name,
+        trajectory=Trajectory(problem.keyframes_ns, poses, covariances),
+        sensors_used=used,
+        calibration=_calibration(problem, solution),
+        residuals=_residuals(problem, solution),
+        counts=_counts(problem, solution),
+        convergence=f"{ended} after {solution.iterations} iterations, cost {solution.cost:.6g}",
+        notes=problem.notes,
+    )
+
+
+def _calibration(problem: Problem, solution: Solution) -> tuple[CalibrationEstimate, ...]:
+    """Return all calibration variables in physical units."""
+    sigma = np.full(len(problem.parameters), np.nan)
+    if solution.calibration_covariance is not None:
+        sigma = np.sqrt(np.diag(solution.calibration_covariance))
+    return tuple(
+        CalibrationEstimate(
+            name=p.name,
+            nominal=p.nominal,
+            value=p.to_value(float(u)),
+            sigma=float(s) * abs(p.derivative(float(u))),
+            prior_sigma=p.prior_sigma,
+            unit=p.unit,
+        )
+        for p, u, s in zip(problem.parameters, solution.u, sigma, strict=True)
+    )
+
+
+def _residuals(problem: Problem, solution: Solution) -> tuple[SensorResiduals, ...]:
+    """Return the residuals of every sensor at the solution."""
+    return tuple(
+        SensorResiduals(
+            sensor=table.sensor,
+            components=COMPONENTS[table.kind],
+            stamps_ns=problem.keyframes_ns[table.first],
+            values=residuals(table, solution.states, solution.u),
+            normalised=rows.residual,
+            weights=weight,
+        )
+        for table, rows, weight in zip(
+            solution.tables, solution.linear, solution.weights, strict=True
+        )
+        if table.kind not in HIDDEN
+    )
+
+
+def _counts(problem: Problem, solution: Solution) -> dict[str, SensorCount]:
+    """Return how each sensor's measurements were used."""
+    counts = {
+        name: SensorCount(used, 0, rejected) for name, (used, rejected) in problem.counts.items()
+    }
+    for table, weight in zip(solution.tables, solution.weights, strict=True):
+        if table.kind in HIDDEN or table.sensor not in counts:
+            continue
+        down = int(np.sum(weight < DOWN_WEIGHTED))
+        before = counts[table.sensor]
+        counts[table.sensor] = SensorCount(before.accepted - down, down, before.rejected)
+    return counts

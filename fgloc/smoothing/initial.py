@@ -1,0 +1,97 @@
+"""First guess of a trajectory: dead reckoning, turned by the best heading sensor, aligned to fixes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fgloc.core.drive import Drive
+from fgloc.core.geometry import compose
+from fgloc.core.measurements import Floats, PoseFixes, PositionFixes, Stamps, Yaw, YawRate
+from fgloc.core.preintegration import Preintegrated
+from fgloc.core.start import start_pose
+from fgloc.smoothing.keyframes import turned_angle, yaw_at
+
+ORIGIN_SIGMA = 1e-4
+"""Sigma [m, rad] of a start that defines the map frame itself."""
+
+
+@dataclass(frozen=True)
+class Guess:
+    """Where the optimiser starts, and what is known of the first keyframe."""
+
+    poses: Floats
+    """(K, 3) base poses."""
+    start: Floats
+    """(3,) measured pose of the reference (or the base, without one) at the first keyframe."""
+    start_sigma: Floats
+    """(3,) its standard deviations [m, m, rad]."""
+    notes: tuple[str, ...] = ()
+    """What the user should know."""
+
+
+def first_guess(drive: Drive, keyframes_ns: Stamps, pre: Preintegrated) -> Guess:
+    """Return dead-reckoned poses at the keyframes from the drive's start. O(K).
+
+    Headings come from yaw or gyro where there is one: the nominal track of a skidding robot may
+    be wrong by half, and a heading off by radians is beyond any local optimiser.
+    """
+    wheel_turn = pre.displacement[:, 2]
+    turn = wheel_turn.copy()
+    for gyro in drive.each(YawRate)[:1]:
+        angle, known = turned_angle(gyro, keyframes_ns)
+        turn[known] = angle[known]
+    for yaw in drive.each(Yaw)[:1]:
+        reading, valid = yaw_at(yaw, keyframes_ns)
+        known = valid[1:] & valid[:-1]
+        turn[known] = np.diff(reading)[known]
+    poses = _integrate(pre.displacement, wheel_turn, turn)
+    if drive.truth is not None:
+        start = start_pose(drive)
+        measured = compose(start, np.array(drive.truth.mount, dtype=np.float64))
+        return Guess(compose(start, poses), measured, np.array(drive.truth.sigma))
+    fixes = (*drive.each(PoseFixes), *drive.each(PositionFixes))
+    usable = sum(int(np.isin(f.stamps_ns, keyframes_ns).sum()) for f in fixes)
+    if usable == 0:
+        return Guess(poses, np.zeros(3), np.full(3, ORIGIN_SIGMA))
+    start, spread = _align(poses, keyframes_ns, fixes)
+    note = "no truth to start from: the start was found by aligning dead reckoning to the fixes"
+    sigma = np.array([spread + 10.0, spread + 10.0, np.pi])
+    return Guess(compose(start, poses), start, sigma, (note,))
+
+
+def _integrate(displacement: Floats, wheel_turn: Floats, turn: Floats) -> Floats:
+    """Return (K, 3) poses from the origin, moving as the wheels say and turning as `turn` says."""
+    heading = np.concatenate([[0.0], np.cumsum(turn)])
+    # The chord of an arc points along the mean heading: turn it by half of the correction.
+    along = heading[:-1] + 0.5 * (turn - wheel_turn)
+    c, s = np.cos(along), np.sin(along)
+    x = np.cumsum(c * displacement[:, 0] - s * displacement[:, 1])
+    y = np.cumsum(s * displacement[:, 0] + c * displacement[:, 1])
+    return np.stack([np.append(0.0, x), np.append(0.0, y), heading], axis=1)
+
+
+def _align(
+    poses: Floats, keyframes_ns: Stamps, fixes: tuple[PoseFixes | PositionFixes, ...]
+) -> tuple[Floats, float]:
+    """Return the start pose that brings dead reckoning closest to the fixes, and their extent [m].
+
+    Closed form (rigid alignment in the plane); the lever arms, small beside the drive, are left
+    to the optimiser.
+    """
+    ours, theirs = [], []
+    for fix in fixes:
+        points = fix.poses[:, :2] if isinstance(fix, PoseFixes) else fix.positions
+        inside = np.isin(fix.stamps_ns, keyframes_ns)
+        ours.append(poses[np.searchsorted(keyframes_ns, fix.stamps_ns[inside]), :2])
+        theirs.append(points[inside])
+    a, b = np.concatenate(ours), np.concatenate(theirs)
+    ma, mb = a.mean(axis=0), b.mean(axis=0)
+    da, db = a - ma, b - mb
+    cross = float(np.sum(da[:, 0] * db[:, 1] - da[:, 1] * db[:, 0]))
+    dot = float(np.sum(da * db))
+    angle = float(np.arctan2(cross, dot)) if a.shape[0] > 1 else 0.0
+    c, s = np.cos(angle), np.sin(angle)
+    origin = mb - np.array([c * ma[0] - s * ma[1], s * ma[0] + c * ma[1]])
+    return np.array([origin[0], origin[1], angle]), float(np.abs(db).max(initial=0.0))

@@ -1,0 +1,34 @@
+"""What a user may set about the smoothers; the defaults hold for every robot we know of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from fgloc.factors.robust import Loss
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Typed settings of the batch smoother."""
+
+    keyframe_period_s: float = 0.1
+    """Time between keyframes [s]; every fix has a keyframe of its own as well."""
+    wheel_loss: Loss = Loss("huber", 3.0)
+    """Loss of wheel odometry: slip makes single intervals wrong."""
+    yaw_loss: Loss = Loss("huber", 3.0)
+    """Loss of absolute yaw."""
+    camera_loss: Loss = Loss("cauchy", 4.0)
+    """Loss of camera odometry: it loses track at times."""
+    fix_loss: Loss = Loss("cauchy", 4.0)
+    """Loss of position and pose fixes: reflections and wrong matches."""
+    robust: bool = True
+    """Apply the losses; False trusts every measurement alike."""
+    max_iterations: int = 50
+    """Limit of linearisations in each of the two phases (plain, then robust)."""
+    tolerance: float = 1e-6
+    """Stop when an accepted step lowers the cost by less than this fraction."""
+    solver: Literal["arrow", "gtsam"] = "arrow"
+    """arrow: specialised elimination of a chain with calibration; gtsam: METIS ordering."""
+    covariances: bool = True
+    """Compute marginal covariances of all keyframes and the calibration."""
