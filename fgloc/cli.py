@@ -1,0 +1,275 @@
+"""The command line: what can be typed, and how errors leave. Work is done in `fgloc.commands`.
+
+Nothing here imports numpy: `fgloc --help` and a mistyped option answer at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib
+import io
+import math
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from types import FrameType
+
+from fgloc import __version__
+from fgloc.errors import FglocError
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells report it."""
+BROKEN_PIPE = 141
+"""Exit status when the reader of a pipe went away, as shells report it."""
+TERMINATED = 143
+"""Exit status after SIGTERM, as shells report it."""
+
+METHODS = "model1,model2,batch"
+"""Methods compared unless others are asked for: all available ones (a test holds this to it)."""
+INTEGRATORS = ("exact", "midpoint", "euler")
+"""Steps of Model 1; `fgloc.core.geometry.INTEGRATORS`, which cannot be imported without numpy."""
+
+DRIVE = "a recording (path), DATASET:RUN, or sim:NAME?key=value"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit status: 0, 1 known error, 2 wrong usage, 130 Ctrl-C.
+
+    `argv` are the arguments without the program's name, those of the process when None. Wrong
+    usage and --help leave by SystemExit, as argparse does.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # A terminal that does not know σ shows a question mark; no reason to fail.
+            stream.reconfigure(errors="replace")
+    args = build_parser().parse_args(argv)
+    if threading.current_thread() is threading.main_thread():
+        # The default action ends the process on the spot and leaves temporary files behind.
+        signal.signal(signal.SIGTERM, _terminate)
+    try:
+        handler = importlib.import_module(f"fgloc.commands.{args.command}")
+        status: int = handler.run(args)
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        _say("fgloc: interrupted")
+        return INTERRUPTED
+    except BrokenPipeError:
+        # `fgloc … | head`: the rest is not wanted. The interpreter flushes once more at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    except Exception as error:
+        if args.debug:
+            traceback.print_exc()
+        _say(f"fgloc: error: {_message(error, debug=args.debug)}")
+        return 1
+    return status
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the whole command line; option names are attribute names."""
+    parser = argparse.ArgumentParser(
+        prog="fgloc",
+        description="Factor-graph localisation of wheeled ground robots: a drive goes in, "
+        "a trajectory with its uncertainty and the robot's calibration come out.",
+        epilog="A DRIVE is " + DRIVE + ". `fgloc COMMAND --help` shows a command's options.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"fgloc {__version__}")
+    parser.add_argument("--debug", action="store_true", help="show where an error came from")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    _smooth(commands)
+    _compare(commands)
+    _simulate(commands)
+    _datasets(commands)
+    _doctor(commands)
+    return parser
+
+
+Commands = argparse._SubParsersAction  # the type that argparse gives and does not export
+
+
+def _smooth(commands: Commands[argparse.ArgumentParser]) -> None:
+    """Add `fgloc smooth`."""
+    parser = _command(commands, "smooth", "estimate the trajectory of one drive, and calibrate")
+    parser.add_argument("drive", metavar="DRIVE", help=DRIVE)
+    _fix_options(parser)
+    parser.add_argument(
+        "--save",
+        metavar="FILE",
+        type=_trajectory_file,
+        help="write the trajectory; .tum, .kitti, .g2o or .npz",
+    )
+    _robot_option(parser)
+    _common(parser, "data", "json", "out")
+
+
+def _compare(commands: Commands[argparse.ArgumentParser]) -> None:
+    """Add `fgloc compare`."""
+    parser = _command(commands, "compare", "run several methods on the same drives and score them")
+    parser.add_argument("drives", metavar="DRIVE", nargs="+", help=DRIVE)
+    parser.add_argument(
+        "--methods", metavar="A,B,C", default=METHODS, help="method ids (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--integrator",
+        choices=INTEGRATORS,
+        default="exact",
+        help="step of model1 (default: exact on an arc of constant twist)",
+    )
+    _fix_options(parser)
+    _robot_option(parser)
+    _common(parser, "data", "json", "out")
+
+
+def _simulate(commands: Commands[argparse.ArgumentParser]) -> None:
+    """Add `fgloc simulate`."""
+    parser = _command(commands, "simulate", "make a drive with known truth and write it")
+    parser.add_argument("name", metavar="NAME", help="demo, figure-eight?seed=1&slip=0.2 and so on")
+    parser.add_argument(
+        "--format",
+        choices=("npz", "csv", "jaguar"),
+        default="npz",
+        help="npz or csv of our own, or the Jaguar's text log (default: npz)",
+    )
+    _common(parser, "json", "out")
+
+
+def _datasets(commands: Commands[argparse.ArgumentParser]) -> None:
+    """Add `fgloc datasets` and its own commands."""
+    parser = _command(commands, "datasets", "list, describe, fetch or convert recorded drives")
+    inner = parser.add_subparsers(dest="datasets_command", metavar="WHAT", required=True)
+    listing = _command(inner, "list", "what is known, and what is on this machine")
+    _common(listing, "data", "json")
+    info = _command(inner, "info", "what a drive holds")
+    info.add_argument("drive", metavar="DRIVE", help=DRIVE)
+    _common(info, "data", "json")
+    fetch = _command(inner, "fetch", "download a dataset from its public origin, checked")
+    fetch.add_argument("name", metavar="NAME", help="a dataset's name, see `fgloc datasets list`")
+    fetch.add_argument("--to", metavar="DIR", type=Path, help="folder (default: the user's cache)")
+    _common(fetch)
+    convert = _command(inner, "convert", "write a drive in a format of our own")
+    convert.add_argument("drive", metavar="DRIVE", help=DRIVE)
+    convert.add_argument("file", metavar="FILE", type=Path, help="target; suffix gives the format")
+    _common(convert, "data")
+
+
+def _doctor(commands: Commands[argparse.ArgumentParser]) -> None:
+    """Add `fgloc doctor`."""
+    parser = _command(commands, "doctor", "check that everything needed is installed and works")
+    _common(parser, "data", "json")
+
+
+def _command(
+    commands: Commands[argparse.ArgumentParser], name: str, text: str
+) -> argparse.ArgumentParser:
+    """Add a command described by `text` and return its parser."""
+    parser = commands.add_parser(
+        name, help=text, description=text[0].upper() + text[1:] + ".", allow_abbrev=False
+    )
+    # Suppressed, else the default here would undo a --debug given before the command.
+    parser.add_argument(
+        "--debug",
+        action="store_true",
+        default=argparse.SUPPRESS,
+        help="show where an error came from",
+    )
+    return parser
+
+
+def _common(parser: argparse.ArgumentParser, *names: str) -> None:
+    """Add those of --data, --json and --out that are named; others are None in the namespace."""
+    helps = {
+        "data": ("DIR", "look for recorded drives here first (then $FGLOC_DATA, the user's cache)"),
+        "json": ("FILE", "write the results as JSON"),
+        "out": ("DIR", "write figures, trajectories and settings into a run folder in DIR"),
+    }
+    for name in names:
+        metavar, text = helps[name]
+        parser.add_argument(f"--{name}", metavar=metavar, type=Path, help=text)
+    parser.set_defaults(**{name: None for name in helps if name not in names})
+
+
+def _robot_option(parser: argparse.ArgumentParser) -> None:
+    """Add --robot."""
+    parser.add_argument(
+        "--robot",
+        metavar="FILE",
+        type=Path,
+        help="TOML file with values, priors and noise of the robot",
+    )
+
+
+def _fix_options(parser: argparse.ArgumentParser) -> None:
+    """Add --fixes and --seed."""
+    parser.add_argument(
+        "--fixes",
+        metavar="EVERY_S[:SIGMA_M]",
+        type=_fixes,
+        help="offer the recorded truth as sparse noisy position fixes, e.g. 10:0.002",
+    )
+    parser.add_argument(
+        "--seed", metavar="N", type=_seed, default=0, help="seed of the fixes' noise (default: 0)"
+    )
+
+
+def _fixes(text: str) -> str:
+    """Return the text of --fixes if it is one or two positive numbers; the handler reads it."""
+    try:
+        numbers = [float(word) for word in text.split(":")]
+    except ValueError:
+        numbers = []
+    if not 1 <= len(numbers) <= 2 or not all(math.isfinite(n) and n > 0.0 for n in numbers):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not EVERY_S[:SIGMA_M], one or two positive numbers such as 10:0.002"
+        )
+    return text
+
+
+def _seed(text: str) -> int:
+    """Return a seed; it must not be negative."""
+    if not text.isascii() or not text.isdigit():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 0")
+    return int(text)
+
+
+def _trajectory_file(text: str) -> Path:
+    """Return the path if its suffix names a trajectory format."""
+    path = Path(text)
+    if path.suffix not in (".tum", ".kitti", ".g2o", ".npz"):
+        raise argparse.ArgumentTypeError(f"{text!r} must end in .tum, .kitti, .g2o or .npz")
+    return path
+
+
+def _message(error: Exception, *, debug: bool) -> str:
+    """Return one line about an error: what is wrong, and what to do."""
+    if isinstance(error, FglocError):
+        text = str(error)
+    elif isinstance(error, OSError) and error.filename is not None and error.strerror:
+        text = f"{os.fsdecode(error.filename)}: {error.strerror}"
+    elif isinstance(error, ImportError) and not str(error.name).startswith("fgloc"):
+        text = f"a library cannot be imported: {error}; `fgloc doctor` shows what is missing"
+    else:
+        text = f"this is a defect of fgloc: {type(error).__name__}: {error}"
+        if not debug:
+            text += "; run again with --debug to see where"
+    return " ".join(text.split())
+
+
+def _say(line: str) -> None:
+    """Print a line on stderr, and do not mind if nobody reads it."""
+    with contextlib.suppress(BrokenPipeError):
+        print(line, file=sys.stderr)
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    """Leave through the blocks that clean up."""
+    raise SystemExit(TERMINATED)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
