@@ -109,6 +109,16 @@ def integrate(displacements: Floats, start: Floats, scheme: int) -> Floats:
     return poses
 
 
+@numba.njit(cache=True)
+def chain(steps: Floats, start: Floats) -> Floats:
+    """Return the (N+1, 3) poses reached by composing N relative poses (N, 3) from `start`. O(N)."""
+    poses = np.empty((steps.shape[0] + 1, 3))
+    poses[0] = start
+    for k in range(steps.shape[0]):
+        compose_scalar(poses[k], steps[k], poses[k + 1])
+    return poses
+
+
 def wrap(angle: Floats) -> Floats:
     """Return angles [rad] wrapped to [-pi, pi)."""
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
@@ -141,7 +151,7 @@ def exp(xi: Floats) -> Floats:
     small = np.abs(t) < 1e-4
     safe = np.where(small, 1.0, t)
     a = np.where(small, 1.0 - t * t / 6.0, np.sin(safe) / safe)
-    b = np.where(small, t / 2.0, 2.0 * np.sin(safe / 2.0) ** 2 / safe)
+    b = np.where(small, t / 2.0 * (1.0 - t * t / 12.0), 2.0 * np.sin(safe / 2.0) ** 2 / safe)
     x = a * xi[..., 0] - b * xi[..., 1]
     y = b * xi[..., 0] + a * xi[..., 1]
     return np.stack([x, y, t], axis=-1)

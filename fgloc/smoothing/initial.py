@@ -27,6 +27,8 @@ class Guess:
     """(3,) measured pose of the reference (or the base, without one) at the first keyframe."""
     start_sigma: Floats
     """(3,) its standard deviations [m, m, rad]."""
+    turn: Floats
+    """(K-1,) turned angles by yaw sensor or gyro [rad]; NaN where only the wheels know."""
     notes: tuple[str, ...] = ()
     """What the user should know."""
 
@@ -37,8 +39,7 @@ def first_guess(drive: Drive, keyframes_ns: Stamps, pre: Preintegrated) -> Guess
     Headings come from yaw or gyro where there is one: the nominal track of a skidding robot may
     be wrong by half, and a heading off by radians is beyond any local optimiser.
     """
-    wheel_turn = pre.displacement[:, 2]
-    turn = wheel_turn.copy()
+    turn = np.full(keyframes_ns.size - 1, np.nan)
     for gyro in drive.each(YawRate)[:1]:
         angle, known = turned_angle(gyro, keyframes_ns)
         turn[known] = angle[known]
@@ -46,23 +47,28 @@ def first_guess(drive: Drive, keyframes_ns: Stamps, pre: Preintegrated) -> Guess
         reading, valid = yaw_at(yaw, keyframes_ns)
         known = valid[1:] & valid[:-1]
         turn[known] = np.diff(reading)[known]
-    poses = _integrate(pre.displacement, wheel_turn, turn)
+    poses = dead_reckon(pre.displacement, turn)
     if drive.truth is not None:
         start = start_pose(drive)
         measured = compose(start, np.array(drive.truth.mount, dtype=np.float64))
-        return Guess(compose(start, poses), measured, np.array(drive.truth.sigma))
+        return Guess(compose(start, poses), measured, np.array(drive.truth.sigma), turn)
     fixes = (*drive.each(PoseFixes), *drive.each(PositionFixes))
     usable = sum(int(np.isin(f.stamps_ns, keyframes_ns).sum()) for f in fixes)
     if usable == 0:
-        return Guess(poses, np.zeros(3), np.full(3, ORIGIN_SIGMA))
+        return Guess(poses, np.zeros(3), np.full(3, ORIGIN_SIGMA), turn)
     start, spread = _align(poses, keyframes_ns, fixes)
     note = "no truth to start from: the start was found by aligning dead reckoning to the fixes"
     sigma = np.array([spread + 10.0, spread + 10.0, np.pi])
-    return Guess(compose(start, poses), start, sigma, (note,))
+    return Guess(compose(start, poses), start, sigma, turn, (note,))
 
 
-def _integrate(displacement: Floats, wheel_turn: Floats, turn: Floats) -> Floats:
-    """Return (K, 3) poses from the origin, moving as the wheels say and turning as `turn` says."""
+def dead_reckon(displacement: Floats, turn: Floats) -> Floats:
+    """Return (K, 3) poses from the origin, moving by the wheels' (K-1, 3) displacements.
+
+    Where `turn` (K-1,) is not NaN it replaces the wheels' rotation.
+    """
+    wheel_turn = displacement[:, 2]
+    turn = np.where(np.isnan(turn), wheel_turn, turn)
     heading = np.concatenate([[0.0], np.cumsum(turn)])
     # The chord of an arc points along the mean heading: turn it by half of the correction.
     along = heading[:-1] + 0.5 * (turn - wheel_turn)

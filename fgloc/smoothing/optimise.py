@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fgloc.core.geometry import compose
+from fgloc.core.geometry import between, chain, compose
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
-from fgloc.factors.tables import FactorTable, Linearised, linearise
+from fgloc.factors.tables import FactorTable, Kind, Linearised, linearise
 from fgloc.smoothing.arrow import ArrowSolution, NormalEquations, accumulate, solve
 from fgloc.smoothing.elimination import solve_with_gtsam
 from fgloc.smoothing.problem import Problem, without_loss
@@ -18,6 +18,8 @@ from fgloc.smoothing.settings import Settings
 
 FIRST_DAMPING = 1e-4
 LARGEST_DAMPING = 1e8
+MISSED = 3.0
+"""Root mean square of the normalised fix residuals above which a solution is mistrusted."""
 
 
 @dataclass(frozen=True)
@@ -127,22 +129,46 @@ def _step(
     return solve_with_gtsam(linear, *point.states.shape, (root, root * point.u), extra)
 
 
-def retract(states: Floats, step: Floats) -> Floats:
+def retract(point: _Point, step: ArrowSolution, _: FactorTable) -> Floats:
     """Return states ⊕ step: poses composed in the body frame, sensor zeros added."""
-    moved = states + step
-    moved[:, :3] = compose(states[:, :3], step[:, :3])
+    moved = point.states + step.step
+    moved[:, :3] = compose(point.states[:, :3], step.step[:, :3])
+    return moved
+
+
+def roll_out(point: _Point, step: ArrowSolution, wheels: FactorTable) -> Floats:
+    """Return the states that a step means in terms of motion: dead reckoning plus its errors.
+
+    The linear step predicts what is left of each wheel residual. Driving the chain again from
+    its new first pose, with the wheels' displacements at the new calibration and those residuals,
+    keeps long arcs arcs: moving the poses one by one would tear them, and the damping needed to
+    prevent that would take a hundred iterations. (The forward pass of iterative LQR.)
+    """
+    rows = point.linear[0]
+    first, second = step.step[:-1], step.step[1:]
+    left = rows.residual + np.einsum("kab,kb->ka", rows.by_first, first)
+    left += np.einsum("kab,kb->ka", rows.by_second, second)
+    left += rows.by_calibration @ step.calibration_step[point.tables[0].calibration]
+    unwhitened = np.linalg.solve(point.tables[0].sqrt_information, left[:, :, None])[:, :, 0]
+    free = wheels.calibration.stop
+    jacobian = wheels.measurements[:, 3:].reshape(-1, 3, free)
+    at = point.u[:free] + step.calibration_step[:free]
+    displacement = wheels.measurements[:, :3] + jacobian @ at + unwhitened
+    moved = point.states + step.step
+    start = compose(point.states[0, :3], step.step[0, :3])
+    moved[:, :3] = chain(displacement, start)
     return moved
 
 
 def _minimise(
     problem: Problem,
     settings: Settings,
-    tables: Sequence[FactorTable],
     states: Floats,
     u: Floats,
     robust: bool,
 ) -> tuple[_Point, int, bool]:
     """Run Gauss–Newton with Levenberg–Marquardt damping where a plain step does not help."""
+    tables = problem.tables if robust else tuple(without_loss(t) for t in problem.tables)
 
     def wheel_table(at: Floats) -> FactorTable:
         table = problem.wheel_table(at, whitening)
@@ -158,9 +184,12 @@ def _minimise(
         step = _step(problem, point, damping, settings.solver)
         trial = None
         if step is not None and np.abs(step.calibration_step).max(initial=0.0) < 2.0:
-            moved = retract(point.states, step.step)
             at = point.u + step.calibration_step
-            trial = _evaluate(problem, moved, at, tables, wheel_table(at))
+            table = wheel_table(at)
+            for move in (roll_out, retract):
+                trial = _evaluate(problem, move(point, step, table), at, tables, table)
+                if trial.cost < point.cost:
+                    break
         if trial is None or not np.isfinite(trial.cost) or trial.cost > point.cost * (1 + 1e-12):
             damping = max(damping * 10.0, FIRST_DAMPING)
             if damping > LARGEST_DAMPING:
@@ -174,6 +203,43 @@ def _minimise(
     return point, settings.max_iterations, False
 
 
+def _misses_fixes(point: _Point) -> bool:
+    """Return True if the fixes, which no correct solution misses by much, are missed by much."""
+    rows = [
+        linear.residual.ravel()
+        for table, linear in zip(point.tables, point.linear, strict=True)
+        if table.kind in (Kind.POSITION_FIX, Kind.POSE_FIX)
+    ]
+    normalised = np.concatenate(rows) if rows else np.zeros(1)
+    return float(np.sqrt(np.mean(normalised**2))) > MISSED
+
+
+def _grow(problem: Problem, settings: Settings) -> tuple[Floats, Floats, int]:
+    """Return a first guess (K, B) and (G,) learnt on growing beginnings of the drive.
+
+    Each round doubles the length, so that all rounds together cost about one full solve each.
+    """
+    fixes = [t.first for t in problem.tables if t.kind in (Kind.POSITION_FIX, Kind.POSE_FIX)]
+    stops = np.unique(np.concatenate(fixes)) if fixes else np.zeros(1, np.int64)
+    total = problem.states.shape[0]
+    length = int(stops[min(2, stops.size - 1)]) + 1
+    states, u = problem.states, np.zeros(len(problem.parameters))
+    iterations = 0
+    while 1 < length < total:
+        part = problem.head(length)
+        point, count, _ = _minimise(part, settings, states[:length], u, True)
+        iterations += count
+        u = point.u
+        path = problem.reckon(u)
+        onward = compose(point.states[-1, :3], between(path[length - 1], path[length:]))
+        states = states.copy()
+        states[:length] = point.states
+        states[length:, :3] = onward
+        states[length:, 3:] = point.states[-1, 3:]
+        length *= 2
+    return states, u, iterations
+
+
 def optimise(problem: Problem, settings: Settings) -> Solution:
     """Return the best trajectory and calibration of a problem.
 
@@ -181,13 +247,19 @@ def optimise(problem: Problem, settings: Settings) -> Solution:
     Raises FglocError if the system is indeterminate even with the largest damping. Each
     iteration is O(N): one linearisation, one elimination.
     """
-    plain = tuple(without_loss(t) for t in problem.tables)
     u = np.zeros(len(problem.parameters))
-    point, iterations, converged = _minimise(problem, settings, plain, problem.states, u, False)
+    point, iterations, converged = _minimise(problem, settings, problem.states, u, False)
+    if not converged or _misses_fixes(point):
+        # Dead reckoning was off by more than a linearisation can bend: learn the calibration on
+        # the beginning, then twice as much, and so on.
+        states, warm, more = _grow(problem, settings)
+        again = _minimise(problem, settings, states, warm, False)
+        iterations += more + again[1]
+        if again[0].cost < point.cost:
+            point, converged = again[0], again[2]
     if settings.robust:
-        again = _minimise(problem, settings, problem.tables, point.states, point.u, True)
-        point, converged = again[0], again[2]
-        iterations += again[1]
+        point, more, converged = _minimise(problem, settings, point.states, point.u, True)
+        iterations += more
     solution = Solution(
         point.states,
         point.u,

@@ -22,7 +22,7 @@ from fgloc.core.robot import Robot
 from fgloc.core.start import trim_to_truth
 from fgloc.factors.robust import Loss
 from fgloc.factors.tables import FactorTable, Kind
-from fgloc.smoothing.initial import first_guess
+from fgloc.smoothing.initial import dead_reckon, first_guess
 from fgloc.smoothing.keyframes import camera_at, choose_keyframes, turned_angle, yaw_at
 from fgloc.smoothing.settings import Settings
 
@@ -54,6 +54,8 @@ class Problem:
     """Per sensor: how many measurements became factors, how many could not (outside, silent)."""
     wheel_loss: Loss
     """Loss of the wheel factors."""
+    turn: Floats
+    """(K-1,) angles turned between keyframes by yaw sensor or gyro, NaN where unknown."""
     notes: tuple[str, ...] = ()
     """What the user should know of how the graph was built."""
 
@@ -63,6 +65,39 @@ class Problem:
         for k, index in enumerate(self.free):
             values[index] = self.parameters[k].to_value(float(u[k]))
         return values
+
+    def head(self, keyframes: int) -> Problem:
+        """Return the problem of the first `keyframes` keyframes only, same calibration."""
+        n = keyframes
+        kept = [np.flatnonzero(t.first < (n - 1 if t.pairwise else n)) for t in self.tables]
+        end = int(self.split.bounds[n - 1])
+        return replace(
+            self,
+            keyframes_ns=self.keyframes_ns[:n],
+            split=replace(
+                self.split,
+                angles=self.split.angles[:end],
+                steering=self.split.steering[:end],
+                seconds=self.split.seconds[:end],
+                bounds=self.split.bounds[:n],
+            ),
+            tables=tuple(
+                replace(
+                    t,
+                    first=t.first[k],
+                    measurements=t.measurements[k],
+                    sqrt_information=t.sqrt_information[k],
+                )
+                for t, k in zip(self.tables, kept, strict=True)
+            ),
+            states=self.states[:n],
+            turn=self.turn[: n - 1],
+        )
+
+    def reckon(self, u: Floats) -> Floats:
+        """Return (K, 3) dead-reckoned poses from the origin with calibration u."""
+        pre = preintegrate(self.split, self.robot, self.values(u))
+        return dead_reckon(pre.displacement, self.turn)
 
     def wheel_table(self, u: Floats, whitening: Floats | None = None) -> FactorTable:
         """Integrate the wheels at the calibration u and return their factor table.
@@ -343,6 +378,7 @@ def build_problem(drive: Drive, settings: Settings) -> Problem:
         states=states,
         counts={"wheels": (keyframes.size - 1, 0), **builder.counts},
         wheel_loss=settings.wheel_loss if robust else plain,
+        turn=guess.turn,
         notes=guess.notes,
     )
 
