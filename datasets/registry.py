@@ -14,7 +14,16 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from fgloc.core.drive import Drive
-from fgloc.datasets import jackal_jackass, optiodom, vitko_swerve
+from fgloc.datasets import (
+    jackal_jackass,
+    jaguar,
+    jaguar_lines,
+    optiodom,
+    own_csv,
+    own_format,
+    vitko_swerve,
+)
+from fgloc.datasets.text import read_bytes
 from fgloc.errors import FglocError
 
 SIMULATED = "sim"
@@ -188,4 +197,27 @@ def _short(names: Sequence[str], most: int = 6) -> str:
 
 def _load_path(path: Path, name: str) -> Drive:
     """Return the drive in a file or folder, its format guessed from suffix and content."""
-    raise FglocError("no such file or folder; check the path", file=path)
+    if path.is_dir():
+        inside = [path / f for f in ("drive.npz", "drive.csv") if (path / f).is_file()]
+        if not inside:
+            raise FglocError(
+                "this folder holds no drive.npz or drive.csv; give a file, or dataset:run with "
+                "--data for a folder of datasets",
+                file=path,
+            )
+        path = inside[0]
+    data = read_bytes(path)
+    if path.suffix == ".npz" or data.startswith(b"PK"):
+        return own_format.read_npz(path, name)
+    head = data[:4096].decode("utf-8", errors="replace").lstrip("\ufeff").splitlines()
+    if head and head[0].startswith(f"# {own_format.FORMAT}"):
+        return own_csv.read_csv(path, name)
+    if any(jaguar_lines.looks_like(line) for line in head):
+        return jaguar.load(path, name)
+    if not data.strip():
+        raise FglocError("the file is empty; record or download it again", file=path)
+    raise FglocError(
+        "the format is not known; readable are npz and CSV files of fgloc "
+        f"(first line {own_csv.MAGIC!r}) and Jaguar text logs",
+        file=path,
+    )
