@@ -41,7 +41,7 @@ install: $(INSTALLED)
 # Installed anew when the dependencies or the list of packages may have changed.
 $(INSTALLED): pyproject.toml
 	@echo "Installing fgloc and what it needs into .venv; this happens once and takes a minute or two."
-	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	@test -x $(BIN)/pip || $(PYTHON) -m venv --clear .venv
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
 
