@@ -1,0 +1,140 @@
+"""Several methods on the same drives, offered the same measurements, started alike, scored alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from fgloc.config import apply_robot
+from fgloc.core.drive import Drive
+from fgloc.core.evaluation import evaluate
+from fgloc.core.geometry import Integrator
+from fgloc.core.totals import totals
+from fgloc.datasets.registry import expand, load_drive
+from fgloc.errors import FglocError
+from fgloc.estimator import run
+from fgloc.experiments.fixes import FixSpec, with_fixes
+from fgloc.experiments.methods import create, parse
+from fgloc.report.outcomes import (
+    Comparison,
+    DriveOutcome,
+    MethodOutcome,
+    Settings,
+    calibrated_mount,
+)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One finished piece of a comparison, for a progress display."""
+
+    done: int
+    """How many pairs of drive and method are finished."""
+    total: int
+    """How many there are."""
+    drive: str
+    """Id of the drive."""
+    method: str
+    """Id of the method; empty after reading a drive."""
+    outcome: str
+    """Time taken, or why the method was skipped."""
+
+
+Progress = Callable[[Step], None]
+
+
+def compare(
+    drives: Iterable[str],
+    methods: str | Sequence[str],
+    *,
+    fixes: FixSpec | None = None,
+    seed: int = 0,
+    robot_file: str | Path | None = None,
+    integrator: Integrator = "exact",
+    data: Path | None = None,
+    progress: Progress | None = None,
+) -> Comparison:
+    """Return the outcome of every method on every drive named.
+
+    `drives` may hold patterns (see `fgloc.datasets.registry.expand`). Every drive is read once,
+    all of them before the first method runs, so that a file that cannot be read is known at once.
+    `fixes` adds sparse position fixes made from the truth; `robot_file` replaces the drives' own
+    description; `progress` is told after each drive and method. Raises FglocError for a drive that
+    cannot be read, a method that does not exist, or if no method can run on any drive.
+    """
+    ids = parse(methods)
+    names = expand(list(drives), data)
+    loaded: list[Drive] = []
+    for name in names:
+        loaded.append(_prepared(load_drive(name, data), robot_file, fixes, seed))
+        if progress is not None:
+            progress(Step(0, len(names) * len(ids), name, "", "read"))
+    settings = Settings(
+        integrator,
+        None if fixes is None else (fixes.every_s, fixes.sigma_m),
+        seed,
+        None if robot_file is None else str(robot_file),
+    )
+    return compare_drives(loaded, ids, settings, integrator=integrator, progress=progress)
+
+
+def compare_drives(
+    drives: Sequence[Drive],
+    methods: Sequence[str],
+    settings: Settings,
+    *,
+    integrator: Integrator = "exact",
+    progress: Progress | None = None,
+) -> Comparison:
+    """Return the outcome of every method on drives that are already read; see `compare`.
+
+    A method that cannot run on a drive is skipped there with its reason.
+    """
+    estimators = {method: create(method, integrator=integrator) for method in methods}
+    outcomes: list[DriveOutcome] = []
+    done = 0
+    for drive in drives:
+        found: dict[str, MethodOutcome] = {}
+        skipped: dict[str, str] = {}
+        for method, estimator in estimators.items():
+            try:
+                result = run(estimator, drive)
+            except FglocError as error:
+                skipped[method] = str(error)
+            else:
+                if drive.truth is None:
+                    found[method] = MethodOutcome(result, None)
+                else:
+                    mount = calibrated_mount(result, drive.truth)
+                    scores = evaluate(result.trajectory, drive.truth, mount)
+                    found[method] = MethodOutcome(result, scores, mount)
+            done += 1
+            if progress is not None:
+                text = f"{found[method].result.seconds:.2f} s" if method in found else "skipped: "
+                text += skipped.get(method, "")
+                progress(Step(done, len(drives) * len(estimators), drive.name, method, text))
+        outcomes.append(DriveOutcome(drive, found, skipped))
+    if not any(o.methods for o in outcomes):
+        reasons = dict.fromkeys(r for o in outcomes for r in o.skipped.values())
+        raise FglocError("; ".join(reasons) if reasons else "there is no drive to run on")
+    total = {}
+    for method in methods:
+        scored = [
+            (o.drive.motion, o.methods[method].evaluation) for o in outcomes if method in o.methods
+        ]
+        rows = [(motion, e) for motion, e in scored if e is not None]
+        if rows:
+            total[method] = totals(rows)
+    return Comparison(tuple(methods), tuple(outcomes), total, settings)
+
+
+def _prepared(
+    drive: Drive, robot_file: str | Path | None, fixes: FixSpec | None, seed: int
+) -> Drive:
+    """Return the drive with the robot file's description and with position fixes."""
+    if robot_file is not None:
+        drive = replace(drive, robot=apply_robot(drive.robot, robot_file))
+    if fixes is not None:
+        drive = with_fixes(drive, fixes.every_s, fixes.sigma_m, seed)
+    return drive
