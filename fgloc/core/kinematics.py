@@ -195,9 +195,20 @@ class WheeledBase:
 
         `angles` (N, D) wheel rotations [rad], `steering` (N, D) mean steering angles [rad],
         `values` (P,) physical parameters (nominal when None). O(N) in compiled code.
-        Raises FglocError if the wheels do not determine all three degrees of freedom.
+        Raises FglocError if the wheels do not determine all three degrees of freedom, or if the
+        arrays do not fit them.
         """
+        # Compiled code does not check bounds: a missing column would be read from elsewhere.
+        driven = len(self.driven)
+        if angles.ndim != 2 or angles.shape[1] != driven:
+            raise FglocError(
+                f"{self.kind}: angles must have shape (N, {driven}), got {angles.shape}"
+            )
         steering = np.zeros_like(angles) if steering is None else steering
+        if steering.shape != angles.shape:
+            raise FglocError(
+                f"{self.kind}: steering must have shape {angles.shape}, got {steering.shape}"
+            )
         kinds, rollers = self.codes()
         out = np.empty((angles.shape[0], 3))
         weights = np.array([self.rolling_weight, self.lateral_weight])

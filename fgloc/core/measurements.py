@@ -18,8 +18,17 @@ Floats = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]
 
 
-def _check(sensor: str, stamps: Stamps, arrays: dict[str, npt.NDArray[Any]], rows: int) -> None:
-    """Raise FglocError unless stamps strictly increase and arrays are finite with `rows` rows."""
+def _check(
+    sensor: str,
+    stamps: Stamps,
+    arrays: dict[str, npt.NDArray[Any]],
+    rows: int,
+    width: tuple[int, ...] | None = None,
+) -> None:
+    """Raise FglocError unless stamps strictly increase and arrays are finite with `rows` rows.
+
+    `width` is the shape of one row, () for a plain number; None leaves it to the caller.
+    """
     if stamps.dtype != np.int64 or stamps.ndim != 1:
         raise FglocError(f"{sensor}: stamps must be a one-dimensional int64 array of nanoseconds")
     if stamps.size > 1 and not bool(np.all(np.diff(stamps) > 0)):
@@ -28,6 +37,8 @@ def _check(sensor: str, stamps: Stamps, arrays: dict[str, npt.NDArray[Any]], row
     for name, values in arrays.items():
         if values.shape[0] != rows:
             raise FglocError(f"{sensor}: {name} has {values.shape[0]} rows, expected {rows}")
+        if width is not None and values.shape != (rows, *width):
+            raise FglocError(f"{sensor}: {name} must have shape {(rows, *width)}")
         if not bool(np.all(np.isfinite(values))):
             raise FglocError(f"{sensor}: {name} holds a value that is not finite")
 
@@ -80,7 +91,7 @@ class Yaw:
     """Quantisation step [rad]; 0 for a continuous signal."""
 
     def __post_init__(self) -> None:
-        _check(self.sensor, self.stamps_ns, {"yaw": self.yaw}, self.stamps_ns.size)
+        _check(self.sensor, self.stamps_ns, {"yaw": self.yaw}, self.stamps_ns.size, ())
 
 
 @dataclass(frozen=True)
@@ -101,7 +112,7 @@ class YawRate:
     """Random walk of the bias [rad/s/sqrt(s)]."""
 
     def __post_init__(self) -> None:
-        _check(self.sensor, self.stamps_ns, {"rate": self.rate}, self.stamps_ns.size)
+        _check(self.sensor, self.stamps_ns, {"rate": self.rate}, self.stamps_ns.size, ())
 
 
 @dataclass(frozen=True)
@@ -116,7 +127,7 @@ class Acceleration:
     """(N,) acceleration along body x [m/s²]."""
 
     def __post_init__(self) -> None:
-        _check(self.sensor, self.stamps_ns, {"forward": self.forward}, self.stamps_ns.size)
+        _check(self.sensor, self.stamps_ns, {"forward": self.forward}, self.stamps_ns.size, ())
 
 
 @dataclass(frozen=True)
@@ -145,7 +156,7 @@ class CameraPoses:
     """Prior standard deviation of the scale error (scale is 1 nominally)."""
 
     def __post_init__(self) -> None:
-        _check(self.sensor, self.stamps_ns, {"poses": self.poses}, self.stamps_ns.size)
+        _check(self.sensor, self.stamps_ns, {"poses": self.poses}, self.stamps_ns.size, (3,))
 
 
 @dataclass(frozen=True)
@@ -169,7 +180,8 @@ class PositionFixes:
 
     def __post_init__(self) -> None:
         n = self.stamps_ns.size
-        _check(self.sensor, self.stamps_ns, {"positions": self.positions, "sigma": self.sigma}, n)
+        arrays = {"positions": self.positions, "sigma": self.sigma}
+        _check(self.sensor, self.stamps_ns, arrays, n, (2,))
         if n and not bool(np.all(self.sigma > 0.0)):
             raise FglocError(f"{self.sensor}: every sigma of a position fix must be positive")
 
@@ -191,11 +203,11 @@ class PoseFixes:
     mount_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Prior standard deviations of the mount [m, m, rad]; 0 means known exactly."""
     mount_name: str = ""
-    """Sensor whose mounting this is, calibrated as `<name>_x/_y/_yaw`; empty for the stream's own."""
+    """Sensor whose mounting this is, calibrated as `<name>_x/_y/_yaw`; empty: the stream's own."""
 
     def __post_init__(self) -> None:
         n = self.stamps_ns.size
-        _check(self.sensor, self.stamps_ns, {"poses": self.poses, "sigma": self.sigma}, n)
+        _check(self.sensor, self.stamps_ns, {"poses": self.poses, "sigma": self.sigma}, n, (3,))
         if n and not bool(np.all(self.sigma > 0.0)):
             raise FglocError(f"{self.sensor}: every sigma of a pose fix must be positive")
 
@@ -247,7 +259,7 @@ class LandmarkSightings:
     def __post_init__(self) -> None:
         n = self.stamps_ns.size
         values = {"landmark": self.landmark, "range": self.range_m, "bearing": self.bearing}
-        _check(self.sensor, self.stamps_ns[:0], values, n)
+        _check(self.sensor, self.stamps_ns[:0], values, n, ())
         if n > 1 and not bool(np.all(np.diff(self.stamps_ns) >= 0)):
             raise FglocError(f"{self.sensor}: stamps go back in time")
 
