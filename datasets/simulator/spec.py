@@ -69,9 +69,10 @@ class SimSpec:
     """Position fixes."""
 
 
-SEED_A_KEYS = ("seed", "nominal_track", "yaw", "yaw_rate", "camera", "fix")
-"""Keys of the seed-a drives: their motion, slip and noise are fixed by definition. A sensor's name
-stands for all of its fields too."""
+SEED_A_KEYS = ("seed", "nominal_track", "yaw", "yaw_rate")
+"""Keys of the seed-a drives: their motion, slip and noise are fixed by definition."""
+SEED_A_SENSORS = ("gyro", "acc", "camera", "fix")
+"""Sensors that may be added to the seed-a drives, with all of their keys."""
 
 Setters = dict[str, tuple[tuple[str, ...], str]]
 
@@ -92,8 +93,7 @@ def keys(seed_a: bool = False) -> Setters:
             found[f.name] = ((f.name,), str(f.type))
     if not seed_a:
         return found
-    allowed = [k for k in SEED_A_KEYS if k not in ("camera", "fix")]
-    return {k: v for k, v in found.items() if k in allowed or v[0][0] in ("camera", "fix")}
+    return {k: v for k, v in found.items() if k in SEED_A_KEYS or v[0][0] in SEED_A_SENSORS}
 
 
 def _value(key: str, text: str, kind: str) -> Any:
