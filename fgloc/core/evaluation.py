@@ -205,7 +205,13 @@ def error_series(
 
 
 def _unwrapped(poses: Floats) -> Floats:
-    """Return poses (N, 3) with a continuous heading."""
+    """Return poses (N, 3) with a continuous heading.
+
+    Headings that leave ±pi are continuous already and stay as they are: they may know of turns
+    inside a gap, which unwrapping would take away. Only headings that all lie in ±pi are unwrapped.
+    """
+    if float(np.abs(poses[:, 2]).max(initial=0.0)) > np.pi + 1e-9:
+        return poses
     return np.column_stack([poses[:, :2], continuous(poses[:, 2])])
 
 
