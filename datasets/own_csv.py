@@ -33,11 +33,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from fgloc.atomic import write_text
 from fgloc.core import bases
 from fgloc.core.drive import Drive, Reference
 from fgloc.core.kinematics import WheeledBase
@@ -53,7 +54,7 @@ from fgloc.core.measurements import (
 from fgloc.core.robot import Robot
 from fgloc.core.trajectory import Trajectory
 from fgloc.datasets.intervals import usable_increments
-from fgloc.datasets.own_format import FORMAT, VERSION, Arrays, decode, encode, write_whole
+from fgloc.datasets.own_format import FORMAT, VERSION, Arrays, decode, encode
 from fgloc.datasets.text import (
     NOT_A_NUMBER,
     Integers,
@@ -104,10 +105,7 @@ def write_csv(drive: Drive, path: Path) -> None:
         for stamp, row in zip(stamps.tolist(), rows, strict=True):
             out.write(",".join([stream, str(stamp), *map(repr, row)]) + "\n")
 
-    def save(file: IO[bytes]) -> None:
-        file.write(out.getvalue().encode())
-
-    write_whole(path, save)
+    write_text(path, out.getvalue())
 
 
 def read_csv(path: Path, name: str | None = None) -> Drive:

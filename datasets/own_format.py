@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
@@ -23,6 +21,7 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
+from fgloc.atomic import atomic_path
 from fgloc.core import drive as drive_module
 from fgloc.core import kinematics, measurements, robot, trajectory
 from fgloc.core.drive import Drive, Reference
@@ -49,10 +48,8 @@ def write_npz(drive: Drive, path: Path) -> None:
     header, arrays = encode(drive)
     text = np.frombuffer(json.dumps(header, ensure_ascii=False).encode(), dtype=np.uint8)
 
-    def save(file: IO[bytes]) -> None:
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
         np.savez_compressed(file, allow_pickle=False, header=text, **arrays)
-
-    write_whole(path, save)
 
 
 def read_npz(path: Path, name: str | None = None) -> Drive:
@@ -104,29 +101,6 @@ def decode(header: Any, arrays: Arrays, path: Path, name: str | None = None) -> 
     if not isinstance(drive, Drive):
         raise FglocError("the header does not describe a drive", file=path)
     return replace(drive, name=name) if name is not None else drive
-
-
-def write_whole(path: Path, save: Callable[[IO[bytes]], None]) -> None:
-    """Write a file through a temporary one beside it, so that no half-written file is left.
-
-    Raises FglocError if the folder is missing or cannot be written.
-    """
-    try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    except OSError as error:
-        raise FglocError(f"cannot be written: {error.strerror}", file=path) from None
-    try:
-        with os.fdopen(handle, "wb") as file:
-            save(file)
-        # Temporary files are private; a result has the permissions of any new file.
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise FglocError(f"cannot be written: {error.strerror}", file=path) from None
-    finally:
-        Path(temporary).unlink(missing_ok=True)
 
 
 def _missing(path: Path) -> IO[bytes]:

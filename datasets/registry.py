@@ -198,10 +198,10 @@ def _short(names: Sequence[str], most: int = 6) -> str:
 def _load_path(path: Path, name: str) -> Drive:
     """Return the drive in a file or folder, its format guessed from suffix and content."""
     if path.is_dir():
-        inside = [path / f for f in ("drive.npz", "drive.csv") if (path / f).is_file()]
+        inside = [path / f for f in ("drive.npz", "drive.csv", "drive.log") if (path / f).is_file()]
         if not inside:
             raise FglocError(
-                "this folder holds no drive.npz or drive.csv; give a file, or dataset:run with "
+                "this folder holds no drive.npz, .csv or .log; give a file, or dataset:run with "
                 "--data for a folder of datasets",
                 file=path,
             )
