@@ -41,7 +41,7 @@ class FixSpec:
 
 
 def parse(text: str) -> FixSpec:
-    """Return the meaning of "EVERY_S[:SIGMA_M]", e.g. "10" or "10:0.002"; FglocError if it has none."""
+    """Return the meaning of "EVERY_S[:SIGMA_M]", e.g. "10:0.002"; FglocError if it has none."""
     every, _, sigma = text.partition(":")
     try:
         return FixSpec(float(every), float(sigma) if ":" in text else DEFAULT_SIGMA_M)
@@ -58,8 +58,9 @@ def with_fixes(drive: Drive, every_s: float, sigma_m: float, seed: int) -> Drive
     A fix is the position of the reference's own frame, so its lever arm is the reference's
     mounting. The first comes `every_s` after the estimators start; each stands at the recorded
     stamp nearest to its due time, and is left out where none lies within a quarter of `every_s`
-    (a gap in the truth). Noise is Gaussian, the same for the same seed and drive. Raises FglocError if the
-    drive has no truth, is too short for a single fix, or has a stream of that name.
+    (a gap in the truth). Noise is Gaussian, the same for the same seed and drive. Raises
+    FglocError if the drive has no truth, is too short for a single fix, or has a stream of that
+    name.
     """
     spec = FixSpec(every_s, sigma_m)
     if drive.truth is None:
