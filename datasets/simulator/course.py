@@ -81,17 +81,16 @@ def _directions(displacements: Floats, x: float, y: float, mount: float) -> Floa
 
 
 def roll(
-    base: WheeledBase, values: Floats, steered: bool, commanded: Floats, rolled: Floats
+    base: WheeledBase, values: Floats, steered: bool, displacements: Floats
 ) -> tuple[Floats, Floats | None]:
     """Return wheel angles (M, D) and measured steering angles (M, D) or None: inverse kinematics.
 
     The contact velocity of each driven wheel is projected on the wheel's heading (fixed) or its
-    roller axis (roller) and divided by the radius. `values` are the TRUE parameters; steered
-    wheels point along the `commanded` displacements (M, 3), and turn by the `rolled` ones, which
-    may differ by slip. What is measured as steering lacks the true steering offset.
+    roller axis (roller) and divided by the radius. `values` are the TRUE parameters. Steered
+    wheels point along their contact velocity; what is measured as steering lacks the true offset.
     """
     primitives = base.primitives(values)
-    steps = commanded.shape[0]
+    steps = displacements.shape[0]
     angles = np.empty((steps, len(base.driven)))
     steering = np.zeros((steps, len(base.driven)))
     for column, i in enumerate(base.driven):
@@ -99,11 +98,11 @@ def roll(
         x, y, mount, radius = (float(primitives[i, c]) for c in (X, Y, STEER, RADIUS))
         heading = np.full(steps, mount)
         if steered:
-            heading = _directions(commanded, x, y, mount)
+            heading = _directions(displacements, x, y, mount)
             steering[:, column] = heading - mount
         along = heading + (wheel.roller if wheel.kind == "roller" else 0.0)
-        cx = rolled[:, 0] - y * rolled[:, 2]
-        cy = rolled[:, 1] + x * rolled[:, 2]
+        cx = displacements[:, 0] - y * displacements[:, 2]
+        cy = displacements[:, 1] + x * displacements[:, 2]
         free = np.cos(wheel.roller) if wheel.kind == "roller" else 1.0
         angles[:, column] = (np.cos(along) * cx + np.sin(along) * cy) / (radius * free)
     return angles, steering if steered else None

@@ -13,6 +13,7 @@ from fgloc.core.robot import WheelNoise
 from fgloc.core.trajectory import Trajectory
 from fgloc.datasets.simulator import seed_a
 from fgloc.datasets.simulator.course import Course, roll
+from fgloc.datasets.simulator.disturbance import disturb
 from fgloc.datasets.simulator.faults import Slip, apply_slip, describe, parse_slips
 from fgloc.datasets.simulator.models import FixModel
 from fgloc.datasets.simulator.motions import MOTIONS, Limits
@@ -78,45 +79,9 @@ def true_values(model: RobotModel, spec: SimSpec) -> Floats:
     return values
 
 
-def _disturb(
-    wanted: Floats, base: WheeledBase, noise: WheelNoise, step_s: float, rng: np.random.Generator
-) -> tuple[Floats, Floats]:
-    """Return (true, rolled) displacements (M, 3) for wanted ones: random slip as the noise says.
-
-    The base drives where it should, except that it slips sideways if it has wheels that are not
-    meant to; the wheels turn more or less than the base moves. White over distance and turned
-    angle, as `WheelNoise` defines it. For steered bases the sideways part is simplified: it moves
-    the base origin, without the turning that unequal slip of its wheels would add.
-    """
-    drawn = rng.standard_normal(wanted.shape)
-    distance, turn = np.hypot(wanted[:, 0], wanted[:, 1]), np.abs(wanted[:, 2])
-    moving = (distance + turn > 0.0) * step_s
-    guided = [w for w in base.wheels if w.kind != "roller"]
-    true, rolled = wanted.copy(), wanted.copy()
-    if guided:
-        # Several wheels share the sideways force; each slips on its own, the base by the mean.
-        arm = float(np.mean([np.hypot(w.x, w.y) for w in guided]))
-        variance = noise.lateral**2 * (distance + arm * turn) / len(guided)
-        true[:, 1] += drawn[:, 1] * np.sqrt(variance + noise.standing**2 * moving)
-    rolled[:, 0] -= drawn[:, 0] * noise.standing * np.sqrt(moving)
-    heading = noise.turning**2 * turn + noise.standing_turn**2 * moving
-    rolled[:, 2] -= drawn[:, 2] * np.sqrt(heading)
-    return true, rolled
-
-
 def _scaled(noise: WheelNoise, factor: float) -> WheelNoise:
     """Return the noise with every sigma times `factor`."""
     return WheelNoise(**{f.name: factor * getattr(noise, f.name) for f in fields(noise)})
-
-
-def _slip_along(
-    angles: Floats, base: WheeledBase, noise: WheelNoise, rng: np.random.Generator
-) -> Floats:
-    """Return wheel angles (M, D) with each wheel's own random slip along its way."""
-    radii = np.array([base.wheels[i].radius for i in base.driven])
-    sigma = noise.rolling * np.sqrt(np.abs(angles) * radii) / radii
-    disturbed: Floats = angles + sigma * rng.standard_normal(angles.shape)
-    return disturbed
 
 
 def _slips(
@@ -167,10 +132,9 @@ def simulate(spec: SimSpec, name: str) -> Drive:
         wanted[:, 1] = -truth_by_name["icr_x"] * wanted[:, 2]
     noise = _scaled(model.robot.noise, spec.wheel_noise)
     rng = generator(spec.seed, "rolling")
-    true, rolled = _disturb(wanted, base, noise, step_ns * 1e-9, rng)
+    commanded, true = disturb(wanted, base, values, model.steered, noise, step_ns * 1e-9, rng)
     course = Course.follow(true, step_ns)
-    angles, steering = roll(base, values, model.steered, wanted, rolled)
-    angles = _slip_along(angles, base, noise, rng)
+    angles, steering = roll(base, values, model.steered, commanded)
     encoder = spec.encoder
     if encoder.ticks < 0:
         encoder = replace(encoder, ticks=model.ticks)

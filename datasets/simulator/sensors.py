@@ -58,6 +58,12 @@ def _quantised(values: Floats, step: float) -> Floats:
     return values if step <= 0.0 else np.round(values / step) * step
 
 
+def _around(course: Course, stamps: Stamps, rate: float) -> tuple[Stamps, Stamps]:
+    """Return begin and end of the sample period around each stamp, cut to the drive."""
+    half = round(0.5e9 / rate)
+    return np.maximum(stamps - half, 0), np.minimum(stamps + half, course.duration_ns)
+
+
 def measure_wheels(
     course: Course,
     angles: Floats,
@@ -112,10 +118,15 @@ def measure_yaw(course: Course, model: YawModel, rng: np.random.Generator) -> Ya
 
 
 def measure_gyro(course: Course, model: GyroModel, rng: np.random.Generator) -> YawRate:
-    """Return the gyro's yaw rate: truth plus bias, its random walk and white noise."""
+    """Return the gyro's yaw rate: truth plus bias, its random walk and white noise.
+
+    The truth is averaged over the sample period around the stamp, as the sensor's filter does.
+    """
     stamps = course.stamps(model.rate)
     stamps = stamps[keep(stamps.size, model.dropout, rng)]
-    rate = course.twists_at(stamps)[:, 2] + model.bias_sigma * cut_normal(rng, 1)
+    before, after = _around(course, stamps, model.rate)
+    turned = course.poses_at(after)[:, 2] - course.poses_at(before)[:, 2]
+    rate = turned / ((after - before) * 1e-9) + model.bias_sigma * cut_normal(rng, 1)
     rate += _walk(stamps, model.bias_walk, rng)
     rate += model.density * np.sqrt(model.rate) * rng.standard_normal(stamps.size)
     quantised = _quantised(rate, model.resolution)
@@ -127,14 +138,14 @@ def measure_acceleration(
 ) -> Acceleration:
     """Return the acceleration along body x: dv_x/dt − ω v_y plus bias and white noise, quantised.
 
-    dv_x/dt is a difference over one sample period, as a sensor that averages would see it.
+    dv_x/dt is a difference over the sample period around the stamp.
     """
     stamps = course.stamps(model.rate)
     stamps = stamps[keep(stamps.size, model.dropout, rng)]
-    period = round(1e9 / model.rate)
+    before, after = _around(course, stamps, model.rate)
+    change = course.twists_at(after)[:, 0] - course.twists_at(before)[:, 0]
     twist = course.twists_at(stamps)
-    before = course.twists_at(np.maximum(stamps - period, 0))
-    forward = (twist[:, 0] - before[:, 0]) / (period * 1e-9) - twist[:, 2] * twist[:, 1]
+    forward = change / ((after - before) * 1e-9) - twist[:, 2] * twist[:, 1]
     forward = forward + model.bias_sigma * cut_normal(rng, 1)
     forward += model.sigma * rng.standard_normal(stamps.size)
     return Acceleration("acc", stamps, _quantised(forward, model.resolution))

@@ -52,7 +52,8 @@ class SimSpec:
     wheel_noise: float = 1.0
     """Factor on the robot's wheel noise: random slip along, across and in turns; 0 for none."""
     slip: str = "off"
-    """off, on (the drive's own three intervals), or WHEEL:START:END:AMOUNT[,…], see `faults`."""
+    """off, on (three intervals: one wheel, one side, another wheel), or WHEEL:START:END:AMOUNT[,…]:
+    times in s, AMOUNT a factor (1.2) or +N counts per packet, several wheels as fl+rl."""
     truth_rate: float | None = None
     """Poses of the truth per second [Hz]; None: one at every wheel packet."""
     encoder: EncoderModel = field(default_factory=EncoderModel)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from fgloc.datasets.simulator.course import Course, roll
 from fgloc.datasets.simulator.drives import NAMED, true_values
 from fgloc.datasets.simulator.faults import Slip, apply_slip
 from fgloc.datasets.simulator.robots import ROBOTS, build
-from fgloc.datasets.simulator.spec import parse
+from fgloc.datasets.simulator.spec import keys, parse
 from fgloc.errors import FglocError
 
 MOTIONS = ("figure-eight", "square", "random", "corridor", "demo")
@@ -60,7 +61,7 @@ def test_inverse_kinematics_undoes_the_forward_one(robot: str) -> None:
     steps = rng.uniform((0.002, -0.001, -0.004), (0.004, 0.001, 0.004), (200, 3))
     if not model.holonomic:
         steps[:, 1] = 0.0
-    angles, steering = roll(model.robot.base, parameters, model.steered, steps, steps)
+    angles, steering = roll(model.robot.base, parameters, model.steered, steps)
     assert (steering is not None) == model.steered
     back = model.robot.base.displacements(angles, steering, parameters)
     assert back == pytest.approx(steps, abs=1e-14)
@@ -97,6 +98,16 @@ def test_speeds_stay_within_the_robot(motion: str) -> None:
     assert np.abs(np.diff(twist[:, 0])).max() * 50.0 < 0.8 * 1.01
     assert np.abs(np.diff(twist[:, 2])).max() * 50.0 < 1.5 * 1.01
     assert np.abs(twist[:, 0]).max() > 0.5
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_driver_holds_the_course(robot: str) -> None:
+    clean = truth(load_sim(f"square?robot={robot}&wheel_noise=0&rate=5"))
+    slips = [truth(load_sim(f"square?robot={robot}&rate=5&seed={k}")) for k in range(8)]
+    away = [np.hypot(*(poses - clean)[:, :2].T).max() for poses in slips]
+    # The base slips (some centimetres over 16 m), but nobody lets it run off its course.
+    assert 0.01 < float(np.median(away)) < 0.5
+    assert max(np.abs((poses - clean)[:, 2]).max() for poses in slips) < 0.3
 
 
 def test_wheel_noise_is_what_the_robot_says() -> None:
@@ -160,7 +171,6 @@ def test_yaw_drifts_and_is_quantised() -> None:
 def test_gyro_noise_and_bias() -> None:
     drive = load_sim("square?gyro=on&truth_rate=50&gyro_density=0.01&gyro_bias_walk=0&seed=2")
     (gyro,) = drive.each(YawRate)
-    # The rate at a stamp is that of the step that begins there; compare over whole rests instead.
     still = gyro.rate[:50]
     # Density 0.01 at 50 Hz is a sigma of 0.01·sqrt(50) = 0.0707; 50 samples: 10 % standard error.
     assert still.std() == pytest.approx(0.0707, rel=0.35)
@@ -170,11 +180,14 @@ def test_gyro_noise_and_bias() -> None:
 
 
 def test_acceleration_adds_up_to_the_speed() -> None:
-    drive = load_sim("square?acc=on&acc_sigma=0&acc_bias_sigma=0&acc_resolution=0&truth_rate=50")
+    drive = load_sim(
+        "square?acc=on&acc_sigma=0&acc_bias_sigma=0&acc_resolution=0&truth_rate=50&wheel_noise=0"
+    )
     (acc,) = drive.each(Acceleration)
+    # A sample holds the change of speed from half a period before to half a period after it.
     speed = np.cumsum(acc.forward) / 50.0
     steps = np.hypot(*np.diff(truth(drive)[:, :2], axis=0).T) * 50.0
-    assert np.abs(speed[1:] - steps).max() < 0.02
+    assert np.abs(speed[:-1] - steps).max() < 0.01
     assert np.abs(acc.forward).max() == pytest.approx(0.8, rel=0.01)
 
 
@@ -198,7 +211,7 @@ def test_camera_drift_grows_with_the_distance() -> None:
     for seed in range(40):
         drive = load_sim(
             f"square?camera=on&seed={seed}&camera_mount_sigma=0&camera_yaw_sigma=0"
-            "&camera_scale_sigma=0&camera_heading_sigma=0"
+            "&camera_scale_sigma=0&camera_heading_sigma=0&wheel_noise=0"
         )
         (camera,) = drive.each(CameraPoses)
         ends.append(camera.poses[-1, 2] - 2 * math.pi)
@@ -249,7 +262,7 @@ def test_slip_in_a_query() -> None:
     assert ratio[second, 3] == pytest.approx(10 * 2 * math.pi / 300 * moving)
     ratio[first] = 0.0
     ratio[second] = 0.0
-    assert np.abs(ratio).max() == 0.0
+    assert np.abs(ratio).max() < 1e-11
     assert np.array_equal(truth(plain), truth(slip))
 
 
@@ -293,3 +306,11 @@ def test_errors_say_what_there_is(spec: str, words: tuple[str, ...]) -> None:
         load_sim(spec)
     for word in words:
         assert word in str(error.value)
+
+
+def test_every_drive_and_key_is_documented() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "simulator.md").read_text()
+    for key in keys():
+        assert f"| `{key}` |" in text
+    for motion in MOTIONS:
+        assert f"| `{motion}` |" in text
