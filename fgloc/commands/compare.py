@@ -1,0 +1,100 @@
+"""`fgloc compare`: run several methods on the same drives and score them."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from fgloc.atomic import write_text
+from fgloc.experiments.compare import Step, compare
+from fgloc.experiments.fixes import parse as parse_fixes
+from fgloc.report.outcomes import Comparison
+from fgloc.report.progress import ProgressLines
+from fgloc.report.results_json import comparison_json, dumps
+from fgloc.report.run_files import write_run
+from fgloc.report.tables import print_comparison
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare, write --json and --out, print the tables; return 0."""
+    arguments = {"drives": args.drives, "methods": args.methods, "integrator": args.integrator}
+    comparison = compare_with_progress(
+        args, args.drives, args.methods, integrator=args.integrator, title="comparing"
+    )
+    report(args, comparison, arguments)
+    return 0
+
+
+def compare_with_progress(
+    args: argparse.Namespace,
+    drives: list[str],
+    methods: str,
+    *,
+    title: str,
+    integrator: Any = "exact",
+) -> Comparison:
+    """Return the comparison that the options common to `compare` and `smooth` ask for."""
+    fixes = None if args.fixes is None else parse_fixes(args.fixes)
+    with ProgressLines(title) as progress:
+
+        def tell(step: Step) -> None:
+            # A line for every drive read would say little: reading is quick.
+            if step.method:
+                text = f"{step.drive} {step.method} {step.outcome}"
+                progress.step(step.done, step.total, text)
+
+        return compare(
+            drives,
+            methods,
+            fixes=fixes,
+            seed=args.seed,
+            robot_file=args.robot,
+            integrator=integrator,
+            data=args.data,
+            progress=tell,
+        )
+
+
+def report(args: argparse.Namespace, comparison: Comparison, arguments: dict[str, Any]) -> None:
+    """Write --json and --out, print the tables and where files are.
+
+    The tables are printed even if a file cannot be written: the work is done by then.
+    """
+    written: list[str] = []
+    try:
+        if args.json is not None:
+            write_text(args.json, dumps(comparison_json(comparison)))
+            written.append(f"All numbers: {args.json}")
+        if args.out is not None:
+            with ProgressLines("drawing") as progress:
+                folder = write_run(
+                    comparison,
+                    args.out,
+                    args.command,
+                    {**arguments, **_common(args)},
+                    progress.step,
+                )
+            written.append(f"Report, trajectories and figures: {folder} ({_figures(folder)})")
+    finally:
+        print_comparison(comparison)
+    if written:
+        print()
+    for line in written:
+        print(line)
+
+
+def _common(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the options common to `compare` and `smooth` as they are written to settings.json."""
+    return {
+        "fixes": args.fixes,
+        "seed": args.seed,
+        "robot": None if args.robot is None else str(args.robot),
+        "data": None if args.data is None else str(args.data),
+    }
+
+
+def _figures(folder: Path) -> str:
+    """Return how many figures are in a run folder."""
+    number = sum(1 for _ in folder.rglob("*.png"))
+    return f"{number} figure{'' if number == 1 else 's'}"
