@@ -202,7 +202,8 @@ def _wheels(
     closer = np.abs(rear[before, 0] - front[:, 0]) < np.abs(rear[nearest, 0] - front[:, 0])
     nearest = np.where(closer, before, nearest)
     pair = np.abs(rear[nearest, 0] - front[:, 0]) <= PAIR_TICKS
-    pair[1:] &= nearest[1:] != nearest[:-1]
+    paired = np.flatnonzero(pair)
+    pair[paired[1:][np.diff(nearest[paired]) == 0]] = False
     count(rejected, UNPAIRED, front.shape[0] + rear.shape[0] - 2 * int(pair.sum()))
     front, rear = front[pair], rear[nearest[pair]]
     at = stamps[np.maximum(front[:, 0], rear[:, 0]) - 1]

@@ -1,4 +1,6 @@
-"""A drive as one CSV file: readable, easy to write by hand or script, and without loss.
+"""A drive as one CSV file: easy to read, easy to write by hand or script, and without loss.
+
+Whole numbers are exact to 2^53, stamps to 2^63; other numbers are written with all their digits.
 
     # fgloc-drive 1
     # {"robot": {"kind": "differential", "radius_left": 0.1, "radius_right": 0.1, "track": 0.5}}
@@ -28,6 +30,7 @@ from __future__ import annotations
 import inspect
 import io
 import json
+import re
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -177,15 +180,21 @@ def _split(body: list[str], numbers: Integers, path: Path) -> dict[str, Stream]:
         places.append(number)
     streams = {}
     for name, (texts, stamps, places) in rows.items():
-        try:
-            parsed = np.array([int(s) for s in stamps], dtype=np.int64)
-        except (ValueError, OverflowError):
-            bad = next(k for k, s in enumerate(stamps) if not s.strip().lstrip("-").isdigit())
+        bad = next((k for k, s in enumerate(stamps) if not _is_stamp(s)), None)
+        if bad is not None:
             raise FglocError(
                 f"{stamps[bad]!r} is not a stamp in whole nanoseconds", file=path, line=places[bad]
-            ) from None
+            )
+        parsed = np.array([int(s) for s in stamps], dtype=np.int64)
         streams[name] = Stream(parsed, texts, np.array(places, dtype=np.int64))
     return streams
+
+
+def _is_stamp(text: str) -> bool:
+    """Return True if a text is a 64-bit integer."""
+    return re.fullmatch(r"\s*-?\d{1,19}\s*", text, re.ASCII) is not None and (
+        abs(int(text)) < 2**63
+    )
 
 
 def _fill(
