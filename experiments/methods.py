@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, is_dataclass
+from typing import Any
 
 from fgloc.core.geometry import Integrator
 from fgloc.errors import FglocError
@@ -85,3 +86,12 @@ def parse(text: str | Sequence[str]) -> tuple[str, ...]:
         if one not in available():
             create(one)  # raises with the reason
     return ids
+
+
+def resolved(method: str, *, integrator: Integrator = "exact") -> dict[str, Any]:
+    """Return every setting of a method, defaults included; {} for one without settings."""
+    estimator = create(method, integrator=integrator)
+    settings = getattr(estimator, "settings", estimator)
+    if not is_dataclass(settings) or isinstance(settings, type):
+        return {}
+    return asdict(settings)

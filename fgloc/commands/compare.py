@@ -9,6 +9,7 @@ from typing import Any
 from fgloc.atomic import write_text
 from fgloc.experiments.compare import Step, compare
 from fgloc.experiments.fixes import parse as parse_fixes
+from fgloc.experiments.methods import resolved
 from fgloc.report.outcomes import Comparison
 from fgloc.report.progress import ProgressLines
 from fgloc.report.results_json import comparison_json, dumps
@@ -72,7 +73,7 @@ def report(args: argparse.Namespace, comparison: Comparison, arguments: dict[str
                     comparison,
                     args.out,
                     args.command,
-                    {**arguments, **_common(args)},
+                    {**arguments, **_common(args), "settings": _settings(comparison)},
                     progress.step,
                 )
             written.append(f"Report, trajectories and figures: {folder} ({_figures(folder)})")
@@ -92,6 +93,12 @@ def _common(args: argparse.Namespace) -> dict[str, Any]:
         "robot": None if args.robot is None else str(args.robot),
         "data": None if args.data is None else str(args.data),
     }
+
+
+def _settings(comparison: Comparison) -> dict[str, Any]:
+    """Return every setting of every method as it was used, defaults included."""
+    integrator: Any = comparison.settings.integrator
+    return {method: resolved(method, integrator=integrator) for method in comparison.methods}
 
 
 def _figures(folder: Path) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from fgloc import __version__
 from fgloc.atomic import write_text
 from fgloc.config import robot_toml
 from fgloc.core.trajectory_io import save_trajectory
@@ -39,7 +40,7 @@ def write_run(
     """
     names = folder_names([outcome.drive.name for outcome in comparison.drives])
     with RunDir.create(out) as run:
-        settings = {"command": command, **arguments}
+        settings = {"fgloc_version": __version__, "command": command, **arguments}
         write_text(run.file("settings.json"), dumps(settings))
         write_text(run.file("README.txt"), README)
         figures: list[str] = []

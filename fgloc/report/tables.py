@@ -100,7 +100,8 @@ def _heading(comparison: Comparison) -> Iterator[str]:
     offered = dict.fromkeys(
         s for d in drives for s in (d.drive.wheels.sensor, *(s.sensor for s in d.drive.sensors))
     )
-    yield f"Offered to every method: {', '.join(offered)}."
+    single = len(comparison.methods) == 1
+    yield f"Offered{'' if single else ' to every method'}: {', '.join(offered)}."
     if comparison.settings.fixes is not None:
         every_s, sigma_m = comparison.settings.fixes
         yield (
@@ -108,9 +109,10 @@ def _heading(comparison: Comparison) -> Iterator[str]:
             f"(seed {comparison.settings.seed})."
         )
     if any(d.drive.truth is not None for d in drives):
+        who = "The estimate starts" if single else "All methods start"
         yield (
-            "All methods start at the truth's first pose. Errors are not aligned, except in the "
-            "column that says so."
+            f"{who} at the truth's first pose. Errors are not aligned, except in the column that "
+            "says so."
         )
     if any(d.drive.truth is None for d in drives):
         yield "Without a recorded truth a drive starts at the origin and has no errors to show."

@@ -1,0 +1,60 @@
+"""`fgloc compare` and `fgloc smooth` as they are typed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from fgloc.cli import main
+from fgloc.core.trajectory_io import load_trajectory
+
+
+def test_compare_writes_json_and_says_how_far_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "out.json"
+    drives = ["sim:seed-a-straight-slip20", "sim:seed-a-spin-slip20"]
+    assert main(["compare", *drives, "--methods", "model1,model2", "--json", str(target)]) == 0
+    shown = capsys.readouterr()
+    assert "position RMSE" in shown.out
+    assert str(target) in shown.out
+    lines = [line for line in shown.err.splitlines() if line.startswith("[")]
+    assert [line.split(" ")[0] for line in lines] == ["[1/4]", "[2/4]", "[3/4]", "[4/4]"]
+    assert lines[1].startswith("[2/4] sim:seed-a-straight-slip20 model2 ")
+    document = json.loads(target.read_text())
+    assert [d["drive"] for d in document["drives"]] == drives
+
+
+def test_one_bad_drive_among_several_writes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["compare", "sim:seed-a-spin-ideal", "no/such/file.csv", "--methods", "model1"]
+    status = main([*arguments, "--json", str(tmp_path / "a.json"), "--out", str(tmp_path / "b")])
+    assert status == 1
+    shown = capsys.readouterr()
+    assert shown.err.splitlines()[-1].startswith("fgloc: error: no/such/file.csv: ")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_smooth_saves_and_reports_like_compare(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    track, numbers = tmp_path / "track.tum", tmp_path / "numbers.json"
+    arguments = ["smooth", "sim:seed-a-circle-noise", "--fixes", "2:0.005"]
+    assert main([*arguments, "--save", str(track), "--json", str(numbers)]) == 0
+    (entry,) = json.loads(numbers.read_text())["drives"]
+    assert list(entry["methods"]) == ["batch"]
+    scores = entry["methods"]["batch"]
+    assert scores["sensors_used"] == ["wheels", "yaw", "fixes"]
+    assert scores["ate_rmse_m"] < 0.05
+    assert len(load_trajectory(track)) == scores["poses"]
+    assert "effective_track" in capsys.readouterr().out
+
+
+def test_smooth_takes_one_drive(data_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    if not (data_dir / "vitko-swerve").is_dir():
+        pytest.skip("vitko-swerve is not in FGLOC_DATA")
+    assert main(["smooth", "vitko-swerve:all", "--data", str(data_dir)]) == 1
+    assert "fgloc compare vitko-swerve:all" in capsys.readouterr().err
