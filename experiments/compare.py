@@ -123,8 +123,7 @@ def compare_drives(
                 progress(Step(done, len(drives) * len(estimators), drive.name, method, text))
         outcomes.append(DriveOutcome(drive, found, skipped))
     if not any(o.methods for o in outcomes):
-        reasons = dict.fromkeys(r for o in outcomes for r in o.skipped.values())
-        raise FglocError("; ".join(reasons) if reasons else "there is no drive to run on")
+        raise FglocError(_reasons(outcomes))
     total = {}
     for method in methods:
         scored = [
@@ -134,6 +133,19 @@ def compare_drives(
         if rows:
             total[method] = totals(rows)
     return Comparison(tuple(methods), tuple(outcomes), total, settings)
+
+
+def _reasons(outcomes: Sequence[DriveOutcome]) -> str:
+    """Return why no method could run, each reason once even if it names another drive."""
+    reasons: dict[str, list[str]] = {}
+    for outcome in outcomes:
+        for reason in outcome.skipped.values():
+            reasons.setdefault(reason.replace(outcome.drive.name, ""), []).append(reason)
+    if not reasons:
+        return "there is no drive to run on"
+    return "; ".join(
+        r[0] if len(r) == 1 else f"{r[0]} (so on {len(r)} drives)" for r in reasons.values()
+    )
 
 
 def _warm_up(estimators: Sequence[Estimator], drive: Drive) -> None:
