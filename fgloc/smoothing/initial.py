@@ -16,6 +16,11 @@ from fgloc.smoothing.keyframes import turned_angle, yaw_at
 ORIGIN_SIGMA = 1e-4
 """Sigma [m, rad] of a start that defines the map frame itself."""
 
+FEWEST = 3
+"""At least so many fixes are aligned, where there are as many."""
+TELLING = 20.0
+"""Fixes this many sigmas apart tell the heading to some degrees."""
+
 
 @dataclass(frozen=True)
 class Guess:
@@ -81,18 +86,26 @@ def dead_reckon(displacement: Floats, turn: Floats) -> Floats:
 def _align(
     poses: Floats, keyframes_ns: Stamps, fixes: tuple[PoseFixes | PositionFixes, ...]
 ) -> tuple[Floats, float]:
-    """Return the start pose that brings dead reckoning closest to the fixes, and their extent [m].
+    """Return the start pose that brings dead reckoning closest to the first fixes, and their extent.
 
-    Closed form (rigid alignment in the plane); the lever arms, small beside the drive, are left
-    to the optimiser.
+    Closed form (rigid alignment in the plane). Only as many fixes are used as it takes to tell
+    the heading, since dead reckoning bends with time; the lever arms, small beside the drive, are
+    left to the optimiser.
     """
-    ours, theirs = [], []
+    indices, points, sigmas = [], [], []
     for fix in fixes:
-        points = fix.poses[:, :2] if isinstance(fix, PoseFixes) else fix.positions
         inside = np.isin(fix.stamps_ns, keyframes_ns)
-        ours.append(poses[np.searchsorted(keyframes_ns, fix.stamps_ns[inside]), :2])
-        theirs.append(points[inside])
-    a, b = np.concatenate(ours), np.concatenate(theirs)
+        xy = fix.poses[:, :2] if isinstance(fix, PoseFixes) else fix.positions
+        indices.append(np.searchsorted(keyframes_ns, fix.stamps_ns[inside]))
+        points.append(xy[inside])
+        sigmas.append(fix.sigma[inside, 0])
+    order = np.argsort(np.concatenate(indices), kind="stable")
+    a = poses[np.concatenate(indices)[order], :2]
+    b, sigma = np.concatenate(points)[order], np.concatenate(sigmas)[order]
+    away = np.hypot(*(b - b[0]).T)
+    far = np.flatnonzero(away > TELLING * sigma)
+    enough = max(FEWEST, int(far[0]) + 1) if far.size else a.shape[0]
+    a, b = a[:enough], b[:enough]
     ma, mb = a.mean(axis=0), b.mean(axis=0)
     da, db = a - ma, b - mb
     cross = float(np.sum(da[:, 0] * db[:, 1] - da[:, 1] * db[:, 0]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,13 +13,22 @@ from fgloc.errors import FglocError
 from fgloc.factors.tables import FactorTable, Kind, Linearised, linearise
 from fgloc.smoothing.arrow import ArrowSolution, NormalEquations, accumulate, solve
 from fgloc.smoothing.elimination import solve_with_gtsam
-from fgloc.smoothing.problem import Problem, without_loss
+from fgloc.smoothing.initial import dead_reckon
+from fgloc.smoothing.problem import FIXES, Problem, without_loss
 from fgloc.smoothing.settings import Settings
 
 FIRST_DAMPING = 1e-4
 LARGEST_DAMPING = 1e8
-MISSED = 3.0
-"""Root mean square of the normalised fix residuals above which a solution is mistrusted."""
+BENT = 0.3
+"""Heading sigma [rad] up to which a dead-reckoned path is close to its linearisation."""
+ROUGH = 1e-2
+"""Relative decrease at which a window of the sweep is good enough to go on."""
+BEYOND = 6.0
+"""A calibration that many prior sigmas away means that the sweep lost its way."""
+LOOK = 3000
+"""How many keyframes a window of the sweep may add at most."""
+OVERLAP = 4
+"""How many fixes of the last window the next one sees again."""
 
 
 @dataclass(frozen=True)
@@ -60,24 +69,34 @@ class _Point:
     cost: float
 
 
-def _prior_root(problem: Problem) -> Floats:
-    """Return (G,) square-root information of the calibration priors, whose mean is nominal.
+@dataclass(frozen=True)
+class CalibrationPrior:
+    """A Gaussian prior on the calibration, in solver variables."""
 
-    Solver variables are zero at nominal, except those that have no logarithm or shift: a sensor
-    block's variable is its offset from nominal, so the mean is zero everywhere.
-    """
-    return np.array([1.0 / p.solver_sigma for p in problem.parameters])
+    mean: Floats
+    """(G,)."""
+    information: Floats
+    """(G, G)."""
+
+    @staticmethod
+    def of(problem: Problem) -> CalibrationPrior:
+        """Return the prior of a problem: solver variables are zero at nominal."""
+        return CalibrationPrior(np.zeros(len(problem.parameters)), problem.prior_information)
 
 
 def _evaluate(
-    problem: Problem, states: Floats, u: Floats, tables: Sequence[FactorTable], wheels: FactorTable
+    prior: CalibrationPrior,
+    states: Floats,
+    u: Floats,
+    tables: Sequence[FactorTable],
+    wheels: FactorTable,
 ) -> _Point:
     """Linearise all tables at a state and sum up the cost."""
     everything = (wheels, *tables)
     linear = tuple(linearise(t, states, u) for t in everything)
     weights = []
-    prior = _prior_root(problem) * u
-    cost = 0.5 * float(prior @ prior)
+    off = u - prior.mean
+    cost = 0.5 * float(off @ prior.information @ off)
     for table, rows in zip(everything, linear, strict=True):
         squared = np.einsum("md,md->m", rows.residual, rows.residual)
         cost += float(np.sum(table.loss.cost(squared)))
@@ -85,7 +104,7 @@ def _evaluate(
     return _Point(states, u, everything, linear, tuple(weights), cost)
 
 
-def normal_equations(problem: Problem, point: _Point | Solution) -> NormalEquations:
+def normal_equations(prior: CalibrationPrior, point: _Point | Solution) -> NormalEquations:
     """Return the weighted normal equations at a linearisation, priors included."""
     keyframes, width = point.states.shape
     system = NormalEquations.zeros(keyframes, width, point.u.size)
@@ -106,27 +125,26 @@ def normal_equations(problem: Problem, point: _Point | Solution) -> NormalEquati
             system.gradient,
             system.gradient_corner,
         )
-    information = _prior_root(problem) ** 2
-    index = np.arange(point.u.size)
-    system.corner[index, index] += information
-    system.gradient_corner[:] += information * point.u
+    system.corner[:] += prior.information
+    system.gradient_corner[:] += prior.information @ (point.u - prior.mean)
     return system
 
 
 def _step(
-    problem: Problem, point: _Point, damping: float, solver: str
+    prior: CalibrationPrior, point: _Point, damping: float, solver: str
 ) -> ArrowSolution | None:
     """Solve for one step with the chosen linear solver."""
     if solver == "arrow":
-        return solve(normal_equations(problem, point), damping)
-    root = _prior_root(problem)
+        return solve(normal_equations(prior, point), damping)
+    root = np.sqrt(np.diag(prior.information))
     extra = None
     if damping > 0.0:
-        system = normal_equations(problem, point)
+        system = normal_equations(prior, point)
         lead = np.einsum("kaa->ka", system.diagonal).ravel()
         extra = np.sqrt(damping * np.concatenate([lead, np.diag(system.corner)]))
     linear = list(zip(point.tables, point.linear, point.weights, strict=True))
-    return solve_with_gtsam(linear, *point.states.shape, (root, root * point.u), extra)
+    offset = root * (point.u - prior.mean)
+    return solve_with_gtsam(linear, *point.states.shape, (root, offset), extra)
 
 
 def retract(point: _Point, step: ArrowSolution, _: FactorTable) -> Floats:
@@ -166,8 +184,10 @@ def _minimise(
     states: Floats,
     u: Floats,
     robust: bool,
+    prior: CalibrationPrior | None = None,
 ) -> tuple[_Point, int, bool]:
     """Run Gauss–Newton with Levenberg–Marquardt damping where a plain step does not help."""
+    prior = CalibrationPrior.of(problem) if prior is None else prior
     tables = problem.tables if robust else tuple(without_loss(t) for t in problem.tables)
 
     def wheel_table(at: Floats) -> FactorTable:
@@ -178,16 +198,16 @@ def _minimise(
     wheels = wheel_table(u)
     # The weights of one run stay those of its first linearisation: costs must be comparable.
     whitening = wheels.sqrt_information
-    point = _evaluate(problem, states, u, tables, wheels)
+    point = _evaluate(prior, states, u, tables, wheels)
     damping = 0.0
     for iteration in range(1, settings.max_iterations + 1):
-        step = _step(problem, point, damping, settings.solver)
+        step = _step(prior, point, damping, settings.solver)
         trial = None
         if step is not None and np.abs(step.calibration_step).max(initial=0.0) < 2.0:
             at = point.u + step.calibration_step
             table = wheel_table(at)
             for move in (roll_out, retract):
-                trial = _evaluate(problem, move(point, step, table), at, tables, table)
+                trial = _evaluate(prior, move(point, step, table), at, tables, table)
                 if trial.cost < point.cost:
                     break
         if trial is None or not np.isfinite(trial.cost) or trial.cost > point.cost * (1 + 1e-12):
@@ -203,40 +223,76 @@ def _minimise(
     return point, settings.max_iterations, False
 
 
-def _misses_fixes(point: _Point) -> bool:
-    """Return True if the fixes, which no correct solution misses by much, are missed by much."""
-    rows = [
-        linear.residual.ravel()
-        for table, linear in zip(point.tables, point.linear, strict=True)
-        if table.kind in (Kind.POSITION_FIX, Kind.POSE_FIX)
-    ]
-    normalised = np.concatenate(rows) if rows else np.zeros(1)
-    return float(np.sqrt(np.mean(normalised**2))) > MISSED
+def reach(problem: Problem, u: Floats, sigma: Floats, heading: float) -> int:
+    """Return the number of keyframes over which dead reckoning keeps its heading.
 
-
-def _grow(problem: Problem, settings: Settings) -> tuple[Floats, Floats, int]:
-    """Return a first guess (K, B) and (G,) learnt on growing beginnings of the drive.
-
-    Each round doubles the length, so that all rounds together cost about one full solve each.
+    `sigma` (G, G) is the covariance of the calibration u, `heading` the heading variance at the
+    first keyframe. The limit is where the predicted heading sigma exceeds BENT: there the path
+    bends away from its linearisation. Where a yaw sensor or gyro gives the rotation nothing
+    grows. O(K).
     """
-    fixes = [t.first for t in problem.tables if t.kind in (Kind.POSITION_FIX, Kind.POSE_FIX)]
-    stops = np.unique(np.concatenate(fixes)) if fixes else np.zeros(1, np.int64)
+    wheels = problem.wheel_table(u)
+    free = wheels.calibration.stop
+    unknown = np.isnan(problem.turn)
+    by_calibration = np.cumsum(wheels.measurements[:, 3 + 2 * free :] * unknown[:, None], axis=0)
+    covariance = np.linalg.inv(wheels.sqrt_information)
+    noise = np.cumsum(np.einsum("kb,kb->k", covariance[:, 2], covariance[:, 2]) * unknown)
+    spread = np.einsum("kp,pq,kq->k", by_calibration, sigma[:free, :free], by_calibration)
+    lost = np.flatnonzero(heading + noise + spread > BENT**2)
+    return int(lost[0]) if lost.size else problem.states.shape[0]
+
+
+def sweep(problem: Problem, settings: Settings) -> tuple[Floats, Floats, int]:
+    """Return a first guess (K, B), (G,) smoothed piece by piece from the start, and iterations.
+
+    Dead reckoning with nominal calibration may be turned by radians after minutes, which no local
+    optimiser repairs. Each window reaches as far as the heading can be trusted, begins a few
+    fixes earlier than the last one ended, and hands pose and calibration on with twice their
+    sigma, since a few fixes are counted twice. All windows together cost about one full solve.
+    """
     total = problem.states.shape[0]
-    length = int(stops[min(2, stops.size - 1)]) + 1
-    states, u = problem.states, np.zeros(len(problem.parameters))
-    iterations = 0
-    while 1 < length < total:
-        part = problem.head(length)
-        point, count, _ = _minimise(part, settings, states[:length], u, True)
-        iterations += count
-        u = point.u
-        path = problem.reckon(u)
-        onward = compose(point.states[-1, :3], between(path[length - 1], path[length:]))
-        states = states.copy()
-        states[:length] = point.states
-        states[length:, :3] = onward
-        states[length:, 3:] = point.states[-1, 3:]
-        length *= 2
+    fixes = problem.fix_keyframes()
+    prior = CalibrationPrior.of(problem)
+    states, u = problem.states.copy(), prior.mean
+    begin, done, iterations = 0, 1, 0
+    trusted = np.sqrt(np.diag(prior.information))
+    settings = replace(settings, solver="arrow", tolerance=ROUGH)
+    sigma = np.linalg.inv(prior.information)
+    heading = 0.0
+    marginals = np.zeros((0, states.shape[1], states.shape[1]))
+    offset = 0
+    while done < total:
+        ahead = fixes[fixes >= done]
+        least = int(ahead[0]) + 1 if ahead.size else total
+        ahead_of = problem.window(done - 1, min(max(least, done + LOOK), total))
+        end = min(max(least, done - 1 + reach(ahead_of, u, sigma, heading)), total)
+        window = problem.window(begin, end)
+        path = dead_reckon(window.displacement(u), window.turn)
+        near = done - 1 - begin
+        states[done:end, :3] = compose(
+            states[done - 1, :3], between(path[near], path[near + 1 :])
+        )
+        states[done:end, 3:] = states[done - 1, 3:]
+        if begin > 0:
+            window = window.with_state_prior(states[begin], 4.0 * marginals[begin - offset])
+        # Plain first: a robust loss would rather give up a fix than turn the path towards it.
+        point, count, _ = _minimise(window, settings, states[begin:end], u, False, prior)
+        point, more, _ = _minimise(window, settings, point.states, point.u, True, prior)
+        iterations += count + more
+        solution = solve(normal_equations(prior, point), 0.0, with_covariance=True)
+        if solution is None or solution.covariance is None:
+            break
+        if np.abs(point.u * trusted).max(initial=0.0) > BEYOND:
+            break  # lost: what follows could only be worse than dead reckoning from here
+        states[begin:end], u = point.states, point.u
+        marginals, offset = solution.covariance, begin
+        sigma = np.asarray(solution.calibration_covariance)
+        heading = float(marginals[-1, 2, 2])
+        prior = CalibrationPrior(u, np.linalg.inv(4.0 * sigma))
+        behind = fixes[fixes < end]
+        begin = int(behind[max(behind.size - OVERLAP, 0)]) if behind.size else 0
+        begin = max(begin, offset)
+        done = end
     return states, u, iterations
 
 
@@ -247,16 +303,13 @@ def optimise(problem: Problem, settings: Settings) -> Solution:
     Raises FglocError if the system is indeterminate even with the largest damping. Each
     iteration is O(N): one linearisation, one elimination.
     """
-    u = np.zeros(len(problem.parameters))
-    point, iterations, converged = _minimise(problem, settings, problem.states, u, False)
-    if not converged or _misses_fixes(point):
-        # Dead reckoning was off by more than a linearisation can bend: learn the calibration on
-        # the beginning, then twice as much, and so on.
-        states, warm, more = _grow(problem, settings)
-        again = _minimise(problem, settings, states, warm, False)
-        iterations += more + again[1]
-        if again[0].cost < point.cost:
-            point, converged = again[0], again[2]
+    states, u = problem.states, np.zeros(len(problem.parameters))
+    iterations = 0
+    sigma = np.linalg.inv(problem.prior_information)
+    if reach(problem, u, sigma, 0.0) < states.shape[0] and problem.fix_keyframes().size > 1:
+        states, u, iterations = sweep(problem, settings)
+    point, more, converged = _minimise(problem, settings, states, u, False)
+    iterations += more
     if settings.robust:
         point, more, converged = _minimise(problem, settings, point.states, point.u, True)
         iterations += more
@@ -272,13 +325,13 @@ def optimise(problem: Problem, settings: Settings) -> Solution:
     )
     if not settings.covariances:
         return solution
-    final = solve(normal_equations(problem, point), 0.0, with_covariance=True)
+    final = solve(
+        normal_equations(CalibrationPrior.of(problem), point), 0.0, with_covariance=True
+    )
     if final is None:
         raise FglocError("the smoother's system is indeterminate: a sensor's noise may be wrong")
-    return Solution(
-        **{
-            **{f: getattr(solution, f) for f in Solution.__dataclass_fields__},
-            "covariance": final.covariance,
-            "calibration_covariance": final.calibration_covariance,
-        }
+    return replace(
+        solution,
+        covariance=final.covariance,
+        calibration_covariance=final.calibration_covariance,
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fgloc.core.drive import Drive
+from fgloc.core.geometry import rotate_covariance
 from fgloc.core.kinematics import Parameter
 from fgloc.core.measurements import (
     CameraPoses,
@@ -22,10 +23,12 @@ from fgloc.core.robot import Robot
 from fgloc.core.start import trim_to_truth
 from fgloc.factors.robust import Loss
 from fgloc.factors.tables import FactorTable, Kind
-from fgloc.smoothing.initial import dead_reckon, first_guess
+from fgloc.smoothing.initial import first_guess
 from fgloc.smoothing.keyframes import camera_at, choose_keyframes, turned_angle, yaw_at
 from fgloc.smoothing.settings import Settings
 
+FIXES = (Kind.POSITION_FIX, Kind.POSE_FIX)
+"""Factors that tell where the robot is in the map."""
 KNOWN = 1e-6
 """Sigma [m, rad] that stands for "known exactly" where a block has some free components."""
 FREE_HEADING = np.pi
@@ -66,38 +69,66 @@ class Problem:
             values[index] = self.parameters[k].to_value(float(u[k]))
         return values
 
-    def head(self, keyframes: int) -> Problem:
-        """Return the problem of the first `keyframes` keyframes only, same calibration."""
-        n = keyframes
-        kept = [np.flatnonzero(t.first < (n - 1 if t.pairwise else n)) for t in self.tables]
-        end = int(self.split.bounds[n - 1])
-        return replace(
-            self,
-            keyframes_ns=self.keyframes_ns[:n],
-            split=replace(
-                self.split,
-                angles=self.split.angles[:end],
-                steering=self.split.steering[:end],
-                seconds=self.split.seconds[:end],
-                bounds=self.split.bounds[:n],
-            ),
-            tables=tuple(
+    @property
+    def prior_information(self) -> Floats:
+        """Return the (G, G) information of the calibration prior in solver variables."""
+        return np.diag([1.0 / p.solver_sigma**2 for p in self.parameters])
+
+    def fix_keyframes(self) -> Stamps:
+        """Return the sorted keyframe indices that have an absolute fix, the start included."""
+        fixes = [t.first for t in self.tables if t.kind in FIXES]
+        return np.unique(np.concatenate(fixes)) if fixes else np.zeros(0, np.int64)
+
+    def window(self, begin: int, end: int) -> Problem:
+        """Return the problem of keyframes begin ≤ k < end, with the same calibration variables."""
+        tables = []
+        for t in self.tables:
+            last = end - 1 if t.pairwise else end
+            k = np.flatnonzero((t.first >= begin) & (t.first < last))
+            tables.append(
                 replace(
                     t,
-                    first=t.first[k],
+                    first=t.first[k] - begin,
                     measurements=t.measurements[k],
                     sqrt_information=t.sqrt_information[k],
                 )
-                for t, k in zip(self.tables, kept, strict=True)
+            )
+        pieces = slice(int(self.split.bounds[begin]), int(self.split.bounds[end - 1]))
+        return replace(
+            self,
+            keyframes_ns=self.keyframes_ns[begin:end],
+            split=replace(
+                self.split,
+                angles=self.split.angles[pieces],
+                steering=self.split.steering[pieces],
+                seconds=self.split.seconds[pieces],
+                bounds=self.split.bounds[begin:end] - pieces.start,
             ),
-            states=self.states[:n],
-            turn=self.turn[: n - 1],
+            tables=tuple(tables),
+            states=self.states[begin:end],
+            turn=self.turn[begin : end - 1],
         )
 
-    def reckon(self, u: Floats) -> Floats:
-        """Return (K, 3) dead-reckoned poses from the origin with calibration u."""
-        pre = preintegrate(self.split, self.robot, self.values(u))
-        return dead_reckon(pre.displacement, self.turn)
+    def with_state_prior(self, state: Floats, covariance: Floats) -> Problem:
+        """Return the problem with a prior on its first keyframe's (B,) state, body axes (B, B)."""
+        pose = np.concatenate([state[:3], np.zeros(3)])[None]
+        turned = rotate_covariance(covariance[:3, :3], state[2])
+        root = np.linalg.inv(np.linalg.cholesky(turned))[None]
+        index, empty = np.zeros(1, np.int64), slice(0, 0)
+        more = [FactorTable(Kind.POSE_FIX, "start", index, pose, root, empty)]
+        for column in range(3, state.size):
+            sigma = np.full((1, 1), np.sqrt(covariance[column, column]))
+            mean = state[None, column : column + 1]
+            more.append(
+                FactorTable(
+                    Kind.ZERO_PRIOR, "start", index, mean, _diagonal(sigma), empty, slot=column
+                )
+            )
+        return replace(self, tables=(*self.tables, *more))
+
+    def displacement(self, u: Floats) -> Floats:
+        """Return the wheels' (K-1, 3) displacements at calibration u."""
+        return preintegrate(self.split, self.robot, self.values(u)).displacement
 
     def wheel_table(self, u: Floats, whitening: Floats | None = None) -> FactorTable:
         """Integrate the wheels at the calibration u and return their factor table.
