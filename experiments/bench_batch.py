@@ -28,9 +28,11 @@ from fgloc.core.drive import Drive
 from fgloc.core.geometry import EXACT, integrate
 from fgloc.core.measurements import Floats, PositionFixes, WheelIncrements
 from fgloc.core.robot import Robot
-from fgloc.smoothing.optimise import optimise, sweep
-from fgloc.smoothing.problem import Problem, build_problem
+from fgloc.smoothing.build import build_problem
+from fgloc.smoothing.optimise import optimise
+from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.settings import Settings
+from fgloc.smoothing.sweep import sweep
 
 CONTESTANTS = ("arrow", "gtsam", "native")
 FIX_EVERY = 100
@@ -78,7 +80,7 @@ def _ours(drive: Drive, solver: str) -> dict[str, float]:
         "build_s": built - begin,
         "optimise_s": time.perf_counter() - built,
         "iterations": solution.iterations,
-        "error": solution.cost,
+        "error": solution.point.cost,
     }
 
 

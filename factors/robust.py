@@ -15,7 +15,7 @@ LossName = Literal["none", "huber", "cauchy", "tukey"]
 
 @dataclass(frozen=True)
 class Loss:
-    """A loss rho(s) of the whitened residual's norm s; quadratic near zero, slope bounded far out."""
+    """A loss rho(s) of the whitened residual's norm s, quadratic near zero."""
 
     name: LossName = "none"
     """none: s²/2; huber: linear beyond k; cauchy: logarithmic; tukey: constant beyond k."""
@@ -51,3 +51,7 @@ class Loss:
         if self.name == "tukey":
             return (1.0 - np.minimum(squared / k2, 1.0)) ** 2
         return np.ones_like(squared)
+
+
+PLAIN = Loss()
+"""Least squares: every residual is believed alike."""

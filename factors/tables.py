@@ -14,7 +14,7 @@ from fgloc.factors.kernels.camera import camera_odometry
 from fgloc.factors.kernels.fix import pose_fix, position_fix
 from fgloc.factors.kernels.heading import yaw, yaw_rate, zero_prior, zero_walk
 from fgloc.factors.kernels.wheel import wheel_odometry
-from fgloc.factors.robust import Loss
+from fgloc.factors.robust import PLAIN, Loss
 
 
 class Kind(IntEnum):
@@ -74,7 +74,7 @@ class FactorTable:
     """(M, d, d) S with SᵀS = inverse covariance; the whitened residual is S r."""
     calibration: slice
     """Columns of the global calibration vector that the kernel receives; empty slice for none."""
-    loss: Loss = Loss()
+    loss: Loss = PLAIN
     """Robust loss of the whole residual."""
     slot: int = -1
     """State column of the sensor's drifting zero, -1 for none."""

@@ -163,7 +163,8 @@ def _forward(factor: Floats, upper: Floats, right: Floats) -> int:
     Afterwards `factor[k]` holds the Cholesky factor L_k of the reduced diagonal block, `upper[k]`
     holds L_k⁻¹ U_k and `right[k]` holds L_k⁻¹ of its reduced rows.
     """
-    n, b, m = right.shape
+    n: int = right.shape[0]
+    b, m = right.shape[1], right.shape[2]
     for k in range(n):
         if not _cholesky(factor[k]):
             return k

@@ -9,8 +9,9 @@ from fgloc.core.geometry import rotate_covariance
 from fgloc.core.trajectory import Trajectory
 from fgloc.estimator import CalibrationEstimate, Result, SensorCount, SensorResiduals
 from fgloc.factors.tables import COMPONENTS, Kind, residuals
+from fgloc.smoothing.build import build_problem
 from fgloc.smoothing.optimise import Solution, optimise
-from fgloc.smoothing.problem import Problem, build_problem
+from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.settings import Settings
 
 DOWN_WEIGHTED = 0.5
@@ -42,13 +43,14 @@ class BatchSmoother:
 
 def _result(method: str, drive: Drive, problem: Problem, solution: Solution) -> Result:
     """Turn a solution into the public result."""
-    poses = solution.states[:, :3]
+    poses = solution.point.states[:, :3]
     covariances = None
     if solution.covariance is not None:
         covariances = rotate_covariance(solution.covariance[:, :3, :3], poses[:, 2])
         covariances = 0.5 * (covariances + covariances.swapaxes(1, 2))
     used = tuple(name for name, (count, _) in problem.counts.items() if count > 0)
     ended = "converged" if solution.converged else "did NOT converge"
+    cost = solution.point.cost
     return Result(
         method=method,
         drive=drive.name,
@@ -57,7 +59,7 @@ def _result(method: str, drive: Drive, problem: Problem, solution: Solution) -> 
         calibration=_calibration(problem, solution),
         residuals=_residuals(problem, solution),
         counts=_counts(problem, solution),
-        convergence=f"{ended} after {solution.iterations} iterations, cost {solution.cost:.6g}",
+        convergence=f"{ended} after {solution.iterations} iterations, cost {cost:.6g}",
         notes=problem.notes,
     )
 
@@ -76,7 +78,7 @@ def _calibration(problem: Problem, solution: Solution) -> tuple[CalibrationEstim
             prior_sigma=p.prior_sigma,
             unit=p.unit,
         )
-        for p, u, s in zip(problem.parameters, solution.u, sigma, strict=True)
+        for p, u, s in zip(problem.parameters, solution.point.u, sigma, strict=True)
     )
 
 
@@ -87,12 +89,12 @@ def _residuals(problem: Problem, solution: Solution) -> tuple[SensorResiduals, .
             sensor=table.sensor,
             components=COMPONENTS[table.kind],
             stamps_ns=problem.keyframes_ns[table.first],
-            values=residuals(table, solution.states, solution.u),
+            values=residuals(table, solution.point.states, solution.point.u),
             normalised=rows.residual,
             weights=weight,
         )
         for table, rows, weight in zip(
-            solution.tables, solution.linear, solution.weights, strict=True
+            solution.point.tables, solution.point.linear, solution.point.weights, strict=True
         )
         if table.kind not in HIDDEN
     )
@@ -103,7 +105,7 @@ def _counts(problem: Problem, solution: Solution) -> dict[str, SensorCount]:
     counts = {
         name: SensorCount(used, 0, rejected) for name, (used, rejected) in problem.counts.items()
     }
-    for table, weight in zip(solution.tables, solution.weights, strict=True):
+    for table, weight in zip(solution.point.tables, solution.point.weights, strict=True):
         if table.kind in HIDDEN or table.sensor not in counts:
             continue
         down = int(np.sum(weight < DOWN_WEIGHTED))

@@ -97,4 +97,4 @@ def solve_with_gtsam(
 
 def _size(table: FactorTable) -> int:
     """Return the number of calibration variables of a table."""
-    return table.calibration.stop - table.calibration.start
+    return int(table.calibration.stop - table.calibration.start)

@@ -1,4 +1,4 @@
-"""First guess of a trajectory: dead reckoning, turned by the best heading sensor, aligned to fixes."""
+"""First guess: dead reckoning, turned by the best heading sensor, aligned to the fixes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fgloc.core.geometry import compose
 from fgloc.core.measurements import Floats, PoseFixes, PositionFixes, Stamps, Yaw, YawRate
 from fgloc.core.preintegration import Preintegrated
 from fgloc.core.start import start_pose
-from fgloc.smoothing.keyframes import turned_angle, yaw_at
+from fgloc.smoothing.keyframes import absolute_fixes, turned_angle, yaw_at
 
 ORIGIN_SIGMA = 1e-4
 """Sigma [m, rad] of a start that defines the map frame itself."""
@@ -57,7 +57,7 @@ def first_guess(drive: Drive, keyframes_ns: Stamps, pre: Preintegrated) -> Guess
         start = start_pose(drive)
         measured = compose(start, np.array(drive.truth.mount, dtype=np.float64))
         return Guess(compose(start, poses), measured, np.array(drive.truth.sigma), turn)
-    fixes = (*drive.each(PoseFixes), *drive.each(PositionFixes))
+    fixes = absolute_fixes(drive)
     usable = sum(int(np.isin(f.stamps_ns, keyframes_ns).sum()) for f in fixes)
     if usable == 0:
         return Guess(poses, np.zeros(3), np.full(3, ORIGIN_SIGMA), turn)
@@ -86,7 +86,7 @@ def dead_reckon(displacement: Floats, turn: Floats) -> Floats:
 def _align(
     poses: Floats, keyframes_ns: Stamps, fixes: tuple[PoseFixes | PositionFixes, ...]
 ) -> tuple[Floats, float]:
-    """Return the start pose that brings dead reckoning closest to the first fixes, and their extent.
+    """Return the start pose that brings dead reckoning closest to the first fixes; their extent.
 
     Closed form (rigid alignment in the plane). Only as many fixes are used as it takes to tell
     the heading, since dead reckoning bends with time; the lever arms, small beside the drive, are

@@ -7,12 +7,25 @@ import numpy.typing as npt
 
 from fgloc.core.drive import Drive
 from fgloc.core.geometry import interpolate, wrap
-from fgloc.core.measurements import CameraPoses, Floats, PoseFixes, PositionFixes, Stamps, Yaw, YawRate
+from fgloc.core.measurements import (
+    CameraPoses,
+    Floats,
+    PoseFixes,
+    PositionFixes,
+    Stamps,
+    Yaw,
+    YawRate,
+)
 
 MAX_GAP_S = 0.25
 """A continuous sensor is not interpolated over a longer silence."""
 
 Mask = npt.NDArray[np.bool_]
+
+
+def absolute_fixes(drive: Drive) -> tuple[PositionFixes | PoseFixes, ...]:
+    """Return the drive's streams that tell where the robot is in the map, in recorded order."""
+    return tuple(s for s in drive.sensors if isinstance(s, PositionFixes | PoseFixes))
 
 
 def choose_keyframes(drive: Drive, period_s: float) -> Stamps:
@@ -30,9 +43,7 @@ def choose_keyframes(drive: Drive, period_s: float) -> Stamps:
     if long.size:
         extra = [stamps[(stamps > keep[k]) & (stamps < keep[k + 1])] for k in long]
         keep = np.concatenate([keep, *extra])
-    fixes = [
-        f.stamps_ns for f in (*drive.each(PositionFixes), *drive.each(PoseFixes)) if f.stamps_ns.size
-    ]
+    fixes = [f.stamps_ns for f in absolute_fixes(drive)]
     inside = [f[(f >= stamps[0]) & (f <= stamps[-1])] for f in fixes]
     return np.unique(np.concatenate([keep, stamps[[0, -1]], *inside]))
 
@@ -76,8 +87,10 @@ def turned_angle(sensor: YawRate, keyframes_ns: Stamps) -> tuple[Floats, Mask]:
     left, fraction, valid = _bracket(stamps, keyframes_ns, MAX_GAP_S)
     # Inside an interval the rate changes linearly, so the angle is quadratic in the fraction.
     width = seconds[left]
-    inside = width * fraction * (
-        sensor.rate[left] + 0.5 * fraction * (sensor.rate[left + 1] - sensor.rate[left])
+    inside = (
+        width
+        * fraction
+        * (sensor.rate[left] + 0.5 * fraction * (sensor.rate[left + 1] - sensor.rate[left]))
     )
     angle = total[left] + inside
     known = valid[1:] & valid[:-1] & (silent[left[1:]] == silent[left[:-1]])

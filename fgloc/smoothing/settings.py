@@ -7,6 +7,11 @@ from typing import Literal
 
 from fgloc.factors.robust import Loss
 
+SLIPS = Loss("huber", 3.0)
+"""For sensors that are wrong for a while but seldom wildly: slip, magnetic disturbance."""
+STRAYS = Loss("cauchy", 4.0)
+"""For sensors with single wild readings: lost tracking, reflections, wrong matches."""
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -14,13 +19,13 @@ class Settings:
 
     keyframe_period_s: float = 0.1
     """Time between keyframes [s]; every fix has a keyframe of its own as well."""
-    wheel_loss: Loss = Loss("huber", 3.0)
+    wheel_loss: Loss = SLIPS
     """Loss of wheel odometry: slip makes single intervals wrong."""
-    yaw_loss: Loss = Loss("huber", 3.0)
+    yaw_loss: Loss = SLIPS
     """Loss of absolute yaw."""
-    camera_loss: Loss = Loss("cauchy", 4.0)
+    camera_loss: Loss = STRAYS
     """Loss of camera odometry: it loses track at times."""
-    fix_loss: Loss = Loss("cauchy", 4.0)
+    fix_loss: Loss = STRAYS
     """Loss of position and pose fixes: reflections and wrong matches."""
     robust: bool = True
     """Apply the losses; False trusts every measurement alike."""

@@ -1,0 +1,198 @@
+"""The optimiser's loop: linearise tables, take a step, keep it only if it lowers the cost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fgloc.core.geometry import chain, compose
+from fgloc.core.measurements import Floats
+from fgloc.factors.tables import FactorTable, Linearised, linearise
+from fgloc.smoothing.arrow import ArrowSolution, NormalEquations, accumulate, solve
+from fgloc.smoothing.elimination import solve_with_gtsam
+from fgloc.smoothing.problem import Problem, without_loss
+from fgloc.smoothing.settings import Settings
+
+FIRST_DAMPING = 1e-4
+LARGEST_DAMPING = 1e8
+
+
+@dataclass(frozen=True)
+class Point:
+    """One linearisation: a state with its cost."""
+
+    states: Floats
+    """(K, B) keyframe states: x, y, theta and drifting sensor zeros."""
+    u: Floats
+    """(G,) calibration in solver variables."""
+    tables: tuple[FactorTable, ...]
+    """All factor tables, the wheels' first, integrated at u."""
+    linear: tuple[Linearised, ...]
+    """Their whitened residuals and Jacobians."""
+    weights: tuple[Floats, ...]
+    """Robust weights (M,) of every factor."""
+    cost: float
+    """Half the sum of squared whitened residuals, robust losses and priors applied."""
+
+
+@dataclass(frozen=True)
+class CalibrationPrior:
+    """A Gaussian prior on the calibration, in solver variables."""
+
+    mean: Floats
+    """(G,)."""
+    information: Floats
+    """(G, G)."""
+
+    @staticmethod
+    def gaussian(mean: Floats, covariance: Floats) -> CalibrationPrior:
+        """Return the prior with mean (G,) and covariance (G, G)."""
+        return CalibrationPrior(mean, np.asarray(np.linalg.inv(covariance), dtype=np.float64))
+
+    @staticmethod
+    def of(problem: Problem) -> CalibrationPrior:
+        """Return the prior of a problem: solver variables are zero at nominal."""
+        mean = np.zeros(len(problem.parameters))
+        return CalibrationPrior.gaussian(mean, problem.prior_covariance)
+
+
+def _evaluate(
+    prior: CalibrationPrior,
+    states: Floats,
+    u: Floats,
+    tables: Sequence[FactorTable],
+    wheels: FactorTable,
+) -> Point:
+    """Linearise all tables at a state and sum up the cost."""
+    everything = (wheels, *tables)
+    linear = tuple(linearise(t, states, u) for t in everything)
+    weights = []
+    off = u - prior.mean
+    cost = 0.5 * float(off @ prior.information @ off)
+    for table, rows in zip(everything, linear, strict=True):
+        squared = np.einsum("md,md->m", rows.residual, rows.residual)
+        cost += float(np.sum(table.loss.cost(squared)))
+        weights.append(table.loss.weight(squared))
+    return Point(states, u, everything, linear, tuple(weights), cost)
+
+
+def normal_equations(prior: CalibrationPrior, point: Point) -> NormalEquations:
+    """Return the weighted normal equations at a linearisation, priors included."""
+    keyframes, width = point.states.shape
+    system = NormalEquations.zeros(keyframes, width, point.u.size)
+    for table, rows, weight in zip(point.tables, point.linear, point.weights, strict=True):
+        accumulate(
+            table.first,
+            table.pairwise,
+            weight,
+            rows.residual,
+            rows.by_first,
+            rows.by_second,
+            rows.by_calibration,
+            table.calibration.start,
+            system.diagonal,
+            system.upper,
+            system.border,
+            system.corner,
+            system.gradient,
+            system.gradient_corner,
+        )
+    system.corner[:] += prior.information
+    system.gradient_corner[:] += prior.information @ (point.u - prior.mean)
+    return system
+
+
+def _step(
+    prior: CalibrationPrior, point: Point, damping: float, solver: str
+) -> ArrowSolution | None:
+    """Solve for one step with the chosen linear solver."""
+    if solver == "arrow":
+        return solve(normal_equations(prior, point), damping)
+    root = np.sqrt(np.diag(prior.information))
+    extra = None
+    if damping > 0.0:
+        system = normal_equations(prior, point)
+        lead = np.einsum("kaa->ka", system.diagonal).ravel()
+        extra = np.sqrt(damping * np.concatenate([lead, np.diag(system.corner)]))
+    linear = list(zip(point.tables, point.linear, point.weights, strict=True))
+    offset = root * (point.u - prior.mean)
+    keyframes, width = point.states.shape
+    return solve_with_gtsam(linear, keyframes, width, (root, offset), extra)
+
+
+def retract(point: Point, step: ArrowSolution, _: FactorTable) -> Floats:
+    """Return states ⊕ step: poses composed in the body frame, sensor zeros added."""
+    moved = point.states + step.step
+    moved[:, :3] = compose(point.states[:, :3], step.step[:, :3])
+    return moved
+
+
+def roll_out(point: Point, step: ArrowSolution, wheels: FactorTable) -> Floats:
+    """Return the states that a step means in terms of motion: dead reckoning plus its errors.
+
+    The linear step predicts what is left of each wheel residual. Driving the chain again from
+    its new first pose, with the wheels' displacements at the new calibration and those residuals,
+    keeps long arcs arcs: moving the poses one by one would tear them, and the damping needed to
+    prevent that would take a hundred iterations. (The forward pass of iterative LQR.)
+    """
+    rows = point.linear[0]
+    first, second = step.step[:-1], step.step[1:]
+    left = rows.residual + np.einsum("kab,kb->ka", rows.by_first, first)
+    left += np.einsum("kab,kb->ka", rows.by_second, second)
+    left += rows.by_calibration @ step.calibration_step[point.tables[0].calibration]
+    unwhitened = np.linalg.solve(point.tables[0].sqrt_information, left[:, :, None])[:, :, 0]
+    free = wheels.calibration.stop
+    jacobian = wheels.measurements[:, 3:].reshape(-1, 3, free)
+    at = point.u[:free] + step.calibration_step[:free]
+    displacement = wheels.measurements[:, :3] + jacobian @ at + unwhitened
+    moved = point.states + step.step
+    start = compose(point.states[0, :3], step.step[0, :3])
+    moved[:, :3] = chain(displacement, start)
+    return moved
+
+
+def minimise(
+    problem: Problem,
+    settings: Settings,
+    states: Floats,
+    u: Floats,
+    robust: bool,
+    prior: CalibrationPrior | None = None,
+) -> tuple[Point, int, bool]:
+    """Run Gauss–Newton with Levenberg–Marquardt damping where a plain step does not help."""
+    prior = CalibrationPrior.of(problem) if prior is None else prior
+    tables = problem.tables if robust else tuple(without_loss(t) for t in problem.tables)
+
+    def wheel_table(at: Floats) -> FactorTable:
+        table = problem.wheel_table(at, whitening)
+        return table if robust else without_loss(table)
+
+    whitening: Floats | None = None
+    wheels = wheel_table(u)
+    # The weights of one run stay those of its first linearisation: costs must be comparable.
+    whitening = wheels.sqrt_information
+    point = _evaluate(prior, states, u, tables, wheels)
+    damping = 0.0
+    for iteration in range(1, settings.max_iterations + 1):
+        step = _step(prior, point, damping, settings.solver)
+        trial = None
+        if step is not None and np.abs(step.calibration_step).max(initial=0.0) < 2.0:
+            at = point.u + step.calibration_step
+            table = wheel_table(at)
+            for move in (roll_out, retract):
+                trial = _evaluate(prior, move(point, step, table), at, tables, table)
+                if trial.cost < point.cost:
+                    break
+        if trial is None or not np.isfinite(trial.cost) or trial.cost > point.cost * (1 + 1e-12):
+            damping = max(damping * 10.0, FIRST_DAMPING)
+            if damping > LARGEST_DAMPING:
+                return point, iteration, False
+            continue
+        drop = point.cost - trial.cost
+        point = trial
+        damping = 0.0 if damping <= FIRST_DAMPING else damping / 10.0
+        if drop <= settings.tolerance * max(point.cost, 1e-9) or drop < 1e-9:
+            return point, iteration, True
+    return point, settings.max_iterations, False
