@@ -88,7 +88,7 @@ def load(folder: Path, run: str, name: str) -> Drive:
     )
     return Drive(
         name,
-        Robot("Clearpath Jackal", skid_steer(("left",), ("right",), RADIUS, TRACK)),
+        Robot.typical("Clearpath Jackal", skid_steer(("left",), ("right",), RADIUS, TRACK)),
         wheels,
         sensors,
         truth=truth if later.any() else None,

@@ -85,7 +85,7 @@ class JaguarOptions:
 def robot() -> Robot:
     """Return the robot at its nominal dimensions."""
     base = skid_steer(("fl", "rl"), ("fr", "rr"), RADIUS, TRACK, order=WHEELS)
-    return Robot("Jaguar 4x4", base)
+    return Robot.typical("Jaguar 4x4", base)
 
 
 def load(path: Path, name: str | None = None, options: JaguarOptions | None = None) -> Drive:

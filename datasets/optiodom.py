@@ -97,7 +97,7 @@ def load(folder: Path, run: str, name: str) -> Drive:
         base.driven_names,
         # Stretching is for what was counted; an angle that was read is undone from it.
         steering=None if steering is None else increments[:, count:] / stretch[:, None],
-        resolution=2.0 * math.pi / geometry.counts,
+        resolution=2.0 * math.pi / (OMNI4_COUNTS if robot == "omni4" else geometry.counts),
     )
     poses = table[:, 1:4]
     known = finite_rows(poses, rejected, f"truth {NOT_A_NUMBER}")
@@ -106,7 +106,7 @@ def load(folder: Path, run: str, name: str) -> Drive:
     truth = Reference(Trajectory(stamps[known], poses), "optitrack", (1e-3, 1e-3, 0.02))
     return Drive(
         name,
-        Robot(f"optiodom {robot}", base),
+        Robot.typical(f"optiodom {robot}", base),
         wheels,
         truth=truth if known.any() else None,
         motion=f"{robot}/{path}",

@@ -304,7 +304,7 @@ def _short(
     try:
         return Drive(
             name,
-            Robot(str(header["robot"].get("name", base.kind)), base),
+            Robot.typical(str(header["robot"].get("name", base.kind)), base),
             WheelIncrements(
                 "wheels",
                 arrays["wheels.stamps_ns"],

@@ -56,7 +56,7 @@ def robot() -> Robot:
     """Return the robot at its nominal dimensions."""
     positions = ((HALF, HALF), (-HALF, HALF), (-HALF, -HALF), (HALF, -HALF))
     base = four_wheel_steer(tuple(WHEELS), positions, (RADIUS,) * 4)
-    return Robot("4WIS4WID wall climber", base)
+    return Robot.typical("4WIS4WID wall climber", base)
 
 
 def load(folder: Path, run: str, name: str) -> Drive:

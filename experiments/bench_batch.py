@@ -52,7 +52,7 @@ def bench_drive(keyframes: int, seed: int = 0) -> Drive:
         [(step - turn * true[2] / 2) / true[0], (step + turn * true[2] / 2) / true[1]], axis=1
     )
     poses = integrate(base.displacements(angles, None, true), np.zeros(3), EXACT)
-    angles += rng.normal(0.0, 0.005, angles.shape) * np.sqrt(0.05 * np.abs(angles)) / 0.05
+    angles += rng.normal(0.0, 0.004, angles.shape) * np.sqrt(0.05 * np.abs(angles)) / 0.05
     stamps = np.arange(keyframes, dtype=np.int64) * PERIOD_NS
     at = np.arange(0, keyframes, FIX_EVERY)
     fixes = PositionFixes(
@@ -62,7 +62,7 @@ def bench_drive(keyframes: int, seed: int = 0) -> Drive:
         np.full((at.size, 2), FIX_SIGMA),
     )
     wheels = WheelIncrements("wheels", stamps, angles, base.driven_names)
-    return Drive("bench", Robot("bench", base), wheels, (fixes,))
+    return Drive("bench", Robot.typical("bench", base), wheels, (fixes,))
 
 
 def _ours(drive: Drive, solver: str) -> dict[str, float]:

@@ -49,38 +49,40 @@ def jaguar(track: float = JAGUAR_TRACK) -> RobotModel:
     base = bases.skid_steer(
         ("fl", "rl"), ("fr", "rr"), JAGUAR_RADIUS, track, order=("fl", "fr", "rl", "rr")
     )
-    return RobotModel(Robot("Jaguar 4x4", base), JAGUAR_TICKS, JAGUAR_ENCODER_HZ, 0.8, 0.6)
+    return RobotModel(Robot.typical("Jaguar 4x4", base), JAGUAR_TICKS, JAGUAR_ENCODER_HZ, 0.8, 0.6)
 
 
 def _differential(track: float = 0.3) -> RobotModel:
     """Return a small two-wheel robot; track [m]."""
     base = bases.differential(0.05, 0.05, track)
-    return RobotModel(Robot("differential", base), 2000, 20.0, 0.4, 0.8)
+    return RobotModel(Robot.typical("differential", base), 2000, 20.0, 0.4, 0.8)
 
 
 def _mecanum() -> RobotModel:
     """Return a four-wheel mecanum platform."""
     base = bases.mecanum(0.076, 0.235, 0.2, ("fl", "fr", "rl", "rr"))
-    return RobotModel(Robot("mecanum", base), 2000, 20.0, 0.5, 0.6, holonomic=True)
+    return RobotModel(Robot.typical("mecanum", base), 2000, 20.0, 0.5, 0.6, holonomic=True)
 
 
 def _omni3() -> RobotModel:
     """Return a three-wheel omni robot, wheels at 60°, 180° and 300°."""
     base = bases.omni3((0.05, 0.05, 0.05), 0.15, (math.pi / 3, math.pi, -math.pi / 3))
-    return RobotModel(Robot("omni-3", base), 2000, 20.0, 0.4, 0.8, holonomic=True)
+    return RobotModel(Robot.typical("omni-3", base), 2000, 20.0, 0.4, 0.8, holonomic=True)
 
 
 def _tricycle() -> RobotModel:
     """Return a tricycle with a steered and driven front wheel."""
     base = bases.tricycle(0.1, 0.8)
-    return RobotModel(Robot("tricycle", base), 2000, 20.0, 0.8, 0.6, steered=True)
+    return RobotModel(Robot.typical("tricycle", base), 2000, 20.0, 0.8, 0.6, steered=True)
 
 
 def _swerve() -> RobotModel:
     """Return a four-wheel-steer, four-wheel-drive platform."""
     positions = ((0.2, 0.2), (0.2, -0.2), (-0.2, 0.2), (-0.2, -0.2))
     base = bases.four_wheel_steer(("fl", "fr", "rl", "rr"), positions, (0.06,) * 4)
-    return RobotModel(Robot("4WIS4WID", base), 2000, 20.0, 0.5, 0.6, holonomic=True, steered=True)
+    return RobotModel(
+        Robot.typical("4WIS4WID", base), 2000, 20.0, 0.5, 0.6, holonomic=True, steered=True
+    )
 
 
 ROBOTS: dict[str, Callable[[], RobotModel]] = {
