@@ -55,20 +55,19 @@ def parse(text: str) -> FixSpec:
 def with_fixes(drive: Drive, every_s: float, sigma_m: float, seed: int) -> Drive:
     """Return the drive with a stream "fixes": the recorded truth, sparse and noisy.
 
+    The stream is called "fixes", or "truth_fixes" where the drive has one of that name.
     A fix is the position of the reference's own frame, so its lever arm is the reference's
     mounting. The first comes `every_s` after the estimators start; each stands at the recorded
     stamp nearest to its due time, and is left out where none lies within a quarter of `every_s`
     (a gap in the truth). Noise is Gaussian, the same for the same seed and drive. Raises
-    FglocError if the drive has no truth, is too short for a single fix, or has a stream of that
-    name.
+    FglocError if the drive has no truth or is too short for a single fix.
     """
     spec = FixSpec(every_s, sigma_m)
     if drive.truth is None:
         raise FglocError(
             f"{drive.name} has no recorded truth to make position fixes from; leave out --fixes"
         )
-    if any(s.sensor == NAME for s in drive.sensors):
-        raise FglocError(f"{drive.name} has a stream {NAME!r} of its own; leave out --fixes")
+    taken = any(s.sensor == NAME for s in drive.sensors)
     wheels = trim_to_truth(drive).wheels.stamps_ns
     truth = drive.truth.trajectory
     period = spec.every_s * 1e9
@@ -90,11 +89,13 @@ def with_fixes(drive: Drive, every_s: float, sigma_m: float, seed: int) -> Drive
             f"{drive.name} lasts {drive.duration_s:.1f} s, too short for {spec}; "
             "ask for a smaller time between fixes"
         )
+    # What a fix states of itself includes that the recorded truth is not exact either.
+    sigma = np.hypot(spec.sigma_m, np.array(drive.truth.sigma[:2]))
     fixes = PositionFixes(
-        NAME,
+        f"truth_{NAME}" if taken else NAME,
         truth.stamps_ns[chosen],
         truth.poses[chosen, :2] + noise,
-        np.full((chosen.size, 2), spec.sigma_m),
+        np.tile(sigma, (chosen.size, 1)),
         mount=drive.truth.mount[:2],
         mount_sigma=drive.truth.mount_sigma[:2],
         mount_name=drive.truth.sensor,

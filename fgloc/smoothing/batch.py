@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from fgloc.core.drive import Drive
@@ -9,10 +11,10 @@ from fgloc.core.geometry import rotate_covariance
 from fgloc.core.trajectory import Trajectory
 from fgloc.estimator import CalibrationEstimate, Result, SensorCount, SensorResiduals
 from fgloc.factors.tables import COMPONENTS, Kind, residuals
-from fgloc.smoothing.build import build_problem
-from fgloc.smoothing.optimise import Solution, optimise
+from fgloc.smoothing.optimise import Solution
 from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.settings import Settings
+from fgloc.smoothing.trust import solve_with_trust
 
 DOWN_WEIGHTED = 0.5
 """A factor whose robust weight is below this counts as down-weighted."""
@@ -36,12 +38,17 @@ class BatchSmoother:
 
         Raises FglocError where the drive cannot be smoothed (no overlap, undetermined wheels).
         """
-        problem = build_problem(drive, self.settings)
-        solution = optimise(problem, self.settings)
-        return _result(self.method, drive, problem, solution)
+        problem, solution, left_out = solve_with_trust(drive, self.settings)
+        return _result(self.method, drive, problem, solution, left_out)
 
 
-def _result(method: str, drive: Drive, problem: Problem, solution: Solution) -> Result:
+def _result(
+    method: str,
+    drive: Drive,
+    problem: Problem,
+    solution: Solution,
+    left_out: Mapping[str, str],
+) -> Result:
     """Turn a solution into the public result."""
     poses = solution.point.states[:, :3]
     covariances = None
@@ -49,6 +56,8 @@ def _result(method: str, drive: Drive, problem: Problem, solution: Solution) -> 
         covariances = rotate_covariance(solution.covariance[:, :3, :3], poses[:, 2])
         covariances = 0.5 * (covariances + covariances.swapaxes(1, 2))
     used = tuple(name for name, (count, _) in problem.counts.items() if count > 0)
+    sizes = {s.sensor: s.stamps_ns.size for s in drive.sensors}
+    unused = {name: SensorCount(0, 0, sizes[name]) for name in left_out}
     ended = "converged" if solution.converged else "did NOT converge"
     cost = solution.point.cost
     return Result(
@@ -58,9 +67,9 @@ def _result(method: str, drive: Drive, problem: Problem, solution: Solution) -> 
         sensors_used=used,
         calibration=_calibration(problem, solution),
         residuals=_residuals(problem, solution),
-        counts=_counts(problem, solution),
+        counts={**_counts(problem, solution), **unused},
         convergence=f"{ended} after {solution.iterations} iterations, cost {cost:.6g}",
-        notes=problem.notes,
+        notes=(*problem.notes, *left_out.values()),
     )
 
 

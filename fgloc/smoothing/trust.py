@@ -1,0 +1,63 @@
+"""Which sensors to believe: one whose absence lets all others agree is left out, and named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fgloc.core.drive import Drive
+from fgloc.core.measurements import Yaw, YawRate
+from fgloc.factors.tables import Kind
+from fgloc.smoothing.build import build_problem
+from fgloc.smoothing.optimise import Solution, optimise
+from fgloc.smoothing.problem import Problem
+from fgloc.smoothing.settings import Settings
+
+STRAINED = 2.0
+"""Strain that calls for a trial."""
+GAIN = 0.3
+"""A sensor is left out if the strain falls below this fraction without it."""
+ARBITERS = (Kind.POSITION_FIX, Kind.POSE_FIX, Kind.CAMERA)
+"""Sensors that can tell who is right: they see neither magnetic fields nor the wheels."""
+
+
+def strain(solution: Solution) -> float:
+    """Return the mean robust cost per residual component of the fixes and cameras; 0 without any.
+
+    About 0.5 where the noise models are right. Wheels do not count: they slip, and what they
+    lose by it must not be held against the sensor that shows it.
+    """
+    cost, count = 0.0, 0
+    for table, rows in zip(solution.point.tables, solution.point.linear, strict=True):
+        if table.kind in ARBITERS and table.sensor != "start":
+            squared = np.einsum("md,md->m", rows.residual, rows.residual)
+            cost += float(np.sum(table.loss.cost(squared)))
+            count += rows.residual.size
+    return cost / max(count, 1)
+
+
+def solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Solution, dict[str, str]]:
+    """Solve a drive, and where its sensors contradict each other, without each heading sensor.
+
+    Returns the problem and solution without what was left out, and a note for each sensor left
+    out, by its name. Costs one more solve a heading sensor, and only in a strained drive.
+    """
+    problem = build_problem(drive, settings)
+    solution = optimise(problem, settings)
+    notes: dict[str, str] = {}
+    suspects = [s.sensor for s in drive.sensors if isinstance(s, Yaw | YawRate)]
+    for suspect in suspects:
+        if strain(solution) < STRAINED:
+            break
+        less = replace(drive, sensors=tuple(s for s in drive.sensors if s.sensor != suspect))
+        other = build_problem(less, settings)
+        trial = optimise(other, settings)
+        before, after = strain(solution), strain(trial)
+        if after < GAIN * before:
+            notes[suspect] = (
+                f"{suspect} contradicts the absolute sensors and was left out: without it "
+                f"their mean cost falls from {before:.3g} to {after:.3g} (0.5 is right)"
+            )
+            drive, problem, solution = less, other, trial
+    return problem, solution, notes
