@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import gtsam
@@ -55,7 +56,7 @@ def test_displacement_is_the_product_of_exponentials(name: str) -> None:
     bounds = (0, 1, 9, 34, 60)
     pre = preintegrate(split_at(wheels, at(wheels, *bounds)), Robot("r", base, NOISE))
     twists = base.displacements(wheels.angles, wheels.steering)
-    for k, (begin, end) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
+    for k, (begin, end) in enumerate(itertools.pairwise(bounds)):
         pose, heading = gtsam.Pose2(), 0.0
         for twist in twists[begin:end]:
             pose = pose.compose(gtsam.Pose2.Expmap(twist))
