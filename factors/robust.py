@@ -12,6 +12,9 @@ from fgloc.errors import FglocError
 
 LossName = Literal["none", "huber", "cauchy", "tukey"]
 
+FAINT = 1e-6
+"""Smallest weight: a wheel interval given up altogether would cut the chain in two."""
+
 
 @dataclass(frozen=True)
 class Loss:
@@ -49,7 +52,7 @@ class Loss:
         if self.name == "cauchy":
             return 1.0 / (1.0 + squared / k2)
         if self.name == "tukey":
-            return (1.0 - np.minimum(squared / k2, 1.0)) ** 2
+            return np.maximum((1.0 - np.minimum(squared / k2, 1.0)) ** 2, FAINT)
         return np.ones_like(squared)
 
 

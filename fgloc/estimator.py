@@ -60,7 +60,7 @@ class SensorCount:
     accepted: int
     """Used with (nearly) full weight."""
     down_weighted: int = 0
-    """Used with a robust weight below 0.5."""
+    """Used with a robust weight below 0.25."""
     rejected: int = 0
     """Not used at all (outside the drive, invalid, gated)."""
 

@@ -16,7 +16,7 @@ from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.settings import Settings
 from fgloc.smoothing.trust import solve_with_trust
 
-DOWN_WEIGHTED = 0.5
+DOWN_WEIGHTED = 0.25
 """A factor whose robust weight is below this counts as down-weighted."""
 HIDDEN = (Kind.ZERO_WALK, Kind.ZERO_PRIOR)
 """Tables that are a sensor's model, not its measurements."""

@@ -7,8 +7,10 @@ from typing import Literal
 
 from fgloc.factors.robust import Loss
 
-SLIPS = Loss("huber", 3.0)
-"""For sensors that are wrong for a while but seldom wildly: slip, magnetic disturbance."""
+SLIPS = Loss("cauchy", 2.0)
+"""For wheels: a slipping interval must be given up, or it pulls on the calibration for ever."""
+DISTURBED = Loss("huber", 3.0)
+"""For headings: wrong for a while in a magnetic disturbance, but seldom wildly."""
 STRAYS = Loss("cauchy", 4.0)
 """For sensors with single wild readings: lost tracking, reflections, wrong matches."""
 
@@ -21,7 +23,7 @@ class Settings:
     """Time between keyframes [s]; every fix has a keyframe of its own as well."""
     wheel_loss: Loss = SLIPS
     """Loss of wheel odometry: slip makes single intervals wrong."""
-    yaw_loss: Loss = SLIPS
+    yaw_loss: Loss = DISTURBED
     """Loss of absolute yaw."""
     camera_loss: Loss = STRAYS
     """Loss of camera odometry: it loses track at times."""
