@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
-import numba
 import numpy as np
 
+from fgloc.core.compiled import compiled
 from fgloc.core.measurements import Floats, Stamps
 from fgloc.factors.kernels.camera import camera_odometry
 from fgloc.factors.kernels.fix import pose_fix, position_fix
@@ -144,7 +144,7 @@ def residuals(table: FactorTable, states: Floats, calibration: Floats) -> Floats
     return linearise(copy, states, calibration).residual
 
 
-@numba.njit(cache=True)
+@compiled
 def _evaluate(
     kind: int,
     xi: Floats,
@@ -176,7 +176,7 @@ def _evaluate(
         pose_fix(xi, xj, g, m, slot, r, ji, jj, jg)
 
 
-@numba.njit(cache=True)
+@compiled
 def _whiten(s: Floats, values: Floats, scratch: Floats) -> None:
     """Replace `values` (d, n) by s·values, using `scratch` of at least d entries."""
     d = s.shape[0]
@@ -190,7 +190,7 @@ def _whiten(s: Floats, values: Floats, scratch: Floats) -> None:
             values[a, col] = total
 
 
-@numba.njit(cache=True)
+@compiled
 def _linearise(
     kind: int,
     step: int,

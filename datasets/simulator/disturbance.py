@@ -8,9 +8,9 @@ track: noise in the regressor makes it look too wide.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from fgloc.core.compiled import compiled
 from fgloc.core.kinematics import WheeledBase
 from fgloc.core.measurements import Floats
 from fgloc.core.robot import WheelNoise
@@ -81,7 +81,7 @@ def _noise(shape: tuple[int, ...], step_s: float, rng: np.random.Generator) -> F
     return noise
 
 
-@numba.njit(cache=True)
+@compiled
 def _corrections(slip: Floats, share: Floats) -> Floats:
     """Return (M,) heading corrections: each step takes back a share of the error so far."""
     out = np.empty(slip.size)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from fgloc.core.compiled import compiled
 from fgloc.core.geometry import Floats, wrap_scalar
 from fgloc.factors.kernels.wheel import relative_pose
 
 
-@numba.njit(cache=True)
+@compiled
 def camera_odometry(
     xi: Floats,
     xj: Floats,

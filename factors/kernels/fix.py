@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from fgloc.core.compiled import compiled
 from fgloc.core.geometry import Floats, wrap_scalar
 
 
-@numba.njit(cache=True)
+@compiled
 def position_fix(
     xi: Floats,
     xj: Floats,
@@ -38,7 +38,7 @@ def position_fix(
     ji[1, 0], ji[1, 1], ji[1, 2] = s, c, ax
 
 
-@numba.njit(cache=True)
+@compiled
 def pose_fix(
     xi: Floats,
     xj: Floats,

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import numba
-
+from fgloc.core.compiled import compiled
 from fgloc.core.geometry import Floats, wrap_scalar
 
 
-@numba.njit(cache=True)
+@compiled
 def yaw(
     xi: Floats,
     xj: Floats,
@@ -33,7 +32,7 @@ def yaw(
     r[0] = wrap_scalar(xi[2] + zero - m[0])
 
 
-@numba.njit(cache=True)
+@compiled
 def yaw_rate(
     xi: Floats,
     xj: Floats,
@@ -60,7 +59,7 @@ def yaw_rate(
     r[0] = xj[2] - xi[2] + bias * m[1] - m[0]
 
 
-@numba.njit(cache=True)
+@compiled
 def zero_walk(
     xi: Floats,
     xj: Floats,
@@ -77,7 +76,7 @@ def zero_walk(
     r[0] = xj[slot] - xi[slot]
 
 
-@numba.njit(cache=True)
+@compiled
 def zero_prior(
     xi: Floats,
     xj: Floats,

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from fgloc.core.compiled import compiled
 from fgloc.core.geometry import Floats, wrap_scalar
 
 
-@numba.njit(cache=True)
+@compiled
 def relative_pose(xi: Floats, xj: Floats, r: Floats, ji: Floats, jj: Floats) -> None:
     """Write xi⁻¹ ∘ xj (heading not wrapped) and its Jacobians by both retractions."""
     c, s = np.cos(xi[2]), np.sin(xi[2])
@@ -25,7 +25,7 @@ def relative_pose(xi: Floats, xj: Floats, r: Floats, ji: Floats, jj: Floats) -> 
     jj[2, 2] = 1.0
 
 
-@numba.njit(cache=True)
+@compiled
 def wheel_odometry(
     xi: Floats,
     xj: Floats,

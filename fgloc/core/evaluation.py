@@ -11,10 +11,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from fgloc.core.compiled import compiled
 from fgloc.core.drive import Reference
 from fgloc.core.geometry import between, compose, interpolate
 from fgloc.core.measurements import Floats, Stamps
@@ -274,7 +274,7 @@ def aligned_positions(moving: Floats, fixed: Floats) -> Floats:
     return np.asarray(a @ np.array([[c, s], [-s, c]]) + fixed.mean(axis=0))
 
 
-@numba.njit(cache=True)
+@compiled
 def _travelled(positions: Floats, least: float) -> Floats:
     """Return the (N,) path length up to each position, in steps of at least `least` m."""
     path = np.zeros(positions.shape[0])

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from fgloc.core.compiled import compiled
 
 Floats = npt.NDArray[np.float64]
 
@@ -21,13 +22,13 @@ INTEGRATORS: tuple[Integrator, ...] = ("exact", "midpoint", "euler")
 EXACT, MIDPOINT, EULER = range(3)
 
 
-@numba.njit(cache=True)
+@compiled
 def wrap_scalar(angle: float) -> float:
     """Return the angle [rad] in [-pi, pi)."""
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
-@numba.njit(cache=True)
+@compiled
 def arc_coefficients(dtheta: float) -> tuple[float, float, float, float]:
     """Return (a, b, a', b') with a = sin t / t, b = (1 - cos t) / t and their derivatives.
 
@@ -45,7 +46,7 @@ def arc_coefficients(dtheta: float) -> tuple[float, float, float, float]:
     return s / t, (1.0 - c) / t, (c - s / t) / t, (s - (1.0 - c) / t) / t
 
 
-@numba.njit(cache=True)
+@compiled
 def step_scalar(xi: Floats, scheme: int, out: Floats) -> None:
     """Write the pose reached by the body displacement `xi` into `out`.
 
@@ -67,7 +68,7 @@ def step_scalar(xi: Floats, scheme: int, out: Floats) -> None:
     out[2] = dt
 
 
-@numba.njit(cache=True)
+@compiled
 def exp_jacobian_scalar(xi: Floats, out: Floats) -> None:
     """Write the 3×3 derivative of the exact step's (x, y, theta) by `xi` into `out`."""
     a, b, da, db = arc_coefficients(xi[2])
@@ -76,7 +77,7 @@ def exp_jacobian_scalar(xi: Floats, out: Floats) -> None:
     out[2, 0], out[2, 1], out[2, 2] = 0.0, 0.0, 1.0
 
 
-@numba.njit(cache=True)
+@compiled
 def compose_scalar(p: Floats, q: Floats, out: Floats) -> None:
     """Write p ∘ q into `out` (which may be p or q)."""
     c, s = np.cos(p[2]), np.sin(p[2])
@@ -87,7 +88,7 @@ def compose_scalar(p: Floats, q: Floats, out: Floats) -> None:
     out[1] = y
 
 
-@numba.njit(cache=True)
+@compiled
 def between_scalar(p: Floats, q: Floats, out: Floats) -> None:
     """Write p⁻¹ ∘ q, the pose of q seen from p, into `out`."""
     c, s = np.cos(p[2]), np.sin(p[2])
@@ -97,11 +98,12 @@ def between_scalar(p: Floats, q: Floats, out: Floats) -> None:
     out[2] = q[2] - p[2]
 
 
-@numba.njit(cache=True)
+@compiled
 def integrate(displacements: Floats, start: Floats, scheme: int) -> Floats:
     """Return the (N+1, 3) poses that N body displacements (N, 3) reach from `start`. O(N)."""
     poses = np.empty((displacements.shape[0] + 1, 3))
-    poses[0] = start
+    # Entry by entry: assigning the row would compile a shape check of several seconds.
+    poses[0, 0], poses[0, 1], poses[0, 2] = start[0], start[1], start[2]
     step = np.empty(3)
     for k in range(displacements.shape[0]):
         step_scalar(displacements[k], scheme, step)
@@ -109,11 +111,11 @@ def integrate(displacements: Floats, start: Floats, scheme: int) -> Floats:
     return poses
 
 
-@numba.njit(cache=True)
+@compiled
 def chain(steps: Floats, start: Floats) -> Floats:
     """Return the (N+1, 3) poses reached by composing N relative poses (N, 3) from `start`. O(N)."""
     poses = np.empty((steps.shape[0] + 1, 3))
-    poses[0] = start
+    poses[0, 0], poses[0, 1], poses[0, 2] = start[0], start[1], start[2]
     for k in range(steps.shape[0]):
         compose_scalar(poses[k], steps[k], poses[k + 1])
     return poses

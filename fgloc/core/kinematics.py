@@ -18,9 +18,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import numba
 import numpy as np
 
+from fgloc.core.compiled import compiled
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
 
@@ -226,7 +226,7 @@ class WheeledBase:
         return out
 
 
-@numba.njit(cache=True)
+@compiled
 def solve3(m: Floats, inverse: Floats) -> bool:
     """Write the inverse of the symmetric 3×3 `m` into `inverse`; False if it is singular."""
     c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]
@@ -247,7 +247,7 @@ def solve3(m: Floats, inverse: Floats) -> bool:
     return True
 
 
-@numba.njit(cache=True)
+@compiled
 def body_displacement(
     angles: Floats,
     steering: Floats,
@@ -331,7 +331,7 @@ def body_displacement(
     return n
 
 
-@numba.njit(cache=True)
+@compiled
 def _displacements(
     angles: Floats,
     steering: Floats,

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from fgloc.core.compiled import compiled
 from fgloc.core.geometry import arc_coefficients
 from fgloc.core.kinematics import WheeledBase, body_displacement
 from fgloc.core.measurements import Floats, Stamps, WheelIncrements
@@ -111,7 +111,7 @@ def preintegrate(
     return out
 
 
-@numba.njit(cache=True)
+@compiled
 def _preintegrate(
     angles: Floats,
     steering: Floats,
@@ -198,7 +198,7 @@ def _preintegrate(
     return True
 
 
-@numba.njit(cache=True)
+@compiled
 def _increment_covariance(
     rows: Floats,
     n: int,

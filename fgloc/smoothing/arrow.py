@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from fgloc.core.compiled import compiled
 from fgloc.core.measurements import Floats, Stamps
 
 
@@ -60,7 +60,7 @@ class ArrowSolution:
     """(G, G) marginal covariance of the calibration."""
 
 
-@numba.njit(cache=True)
+@compiled
 def accumulate(
     first: Stamps,
     pairwise: bool,
@@ -116,7 +116,7 @@ def accumulate(
                         corner[offset + a, offset + c] += va * jg[k, q, c]
 
 
-@numba.njit(cache=True)
+@compiled
 def _cholesky(a: Floats) -> bool:
     """Overwrite the lower triangle of `a` by its Cholesky factor; False if not positive."""
     n = a.shape[0]
@@ -132,7 +132,7 @@ def _cholesky(a: Floats) -> bool:
     return True
 
 
-@numba.njit(cache=True)
+@compiled
 def _solve_lower(factor: Floats, x: Floats) -> None:
     """Overwrite the columns of x by L⁻¹ x."""
     n = factor.shape[0]
@@ -144,7 +144,7 @@ def _solve_lower(factor: Floats, x: Floats) -> None:
             x[i, c] = v / factor[i, i]
 
 
-@numba.njit(cache=True)
+@compiled
 def _solve_upper(factor: Floats, x: Floats) -> None:
     """Overwrite the columns of x by L⁻ᵀ x."""
     n = factor.shape[0]
@@ -156,7 +156,7 @@ def _solve_upper(factor: Floats, x: Floats) -> None:
             x[i, c] = v / factor[i, i]
 
 
-@numba.njit(cache=True)
+@compiled
 def _forward(factor: Floats, upper: Floats, right: Floats) -> int:
     """Factor the chain in place and reduce the right sides (K, B, R); K on success, else where.
 
@@ -186,7 +186,7 @@ def _forward(factor: Floats, upper: Floats, right: Floats) -> int:
     return n
 
 
-@numba.njit(cache=True)
+@compiled
 def _gram(right: Floats, out: Floats) -> None:
     """Write the sum over keyframes of rightᵀ right into `out` (R, R)."""
     n, b, m = right.shape
@@ -199,7 +199,7 @@ def _gram(right: Floats, out: Floats) -> None:
                     out[a, c] += va * right[k, q, c]
 
 
-@numba.njit(cache=True)
+@compiled
 def _backward(factor: Floats, upper: Floats, right: Floats) -> None:
     """Solve the reduced system in place: right becomes H_chain⁻¹ of the original right sides."""
     n, b, m = right.shape
@@ -214,7 +214,7 @@ def _backward(factor: Floats, upper: Floats, right: Floats) -> None:
         _solve_upper(factor[k], right[k])
 
 
-@numba.njit(cache=True)
+@compiled
 def _marginals(factor: Floats, upper: Floats, solved: Floats, corner: Floats, out: Floats) -> None:
     """Write the keyframe marginals: the chain's own plus what the calibration adds.
 
