@@ -139,6 +139,10 @@ def read_csv(path: Path, name: str | None = None) -> Drive:
         _fill(stream, members, found, path, arrays, rejected)
     _nothing_left(streams, path)
     drive = decode(header, arrays, path, name)
+    if drive.truth is not None and not len(drive.truth.trajectory):
+        # Cut off before its truth began; an empty truth would pass for one of another time.
+        count(rejected, "truth without rows")
+        drive = replace(drive, truth=None)
     total = Counter(drive.rejected)
     total.update(rejected)
     return replace(drive, rejected=dict(total))
@@ -264,8 +268,14 @@ def _base(header: dict[str, Any], path: Path) -> WheeledBase:
     arguments.pop("name", None)
     if kind not in BASES:
         raise FglocError(f"robot.kind is {kind!r}, known are {', '.join(BASES)}", file=path, line=2)
+    signature = inspect.signature(BASES[kind])
+    needed = [p.name for p in signature.parameters.values() if p.default is p.empty]
+    missing = [name for name in needed if name not in arguments]
+    if missing:
+        message = f"robot: {kind} needs {', '.join(needed)}; {missing[0]} is missing"
+        raise FglocError(message, file=path, line=2)
     try:
-        inspect.signature(BASES[kind]).bind(**arguments)
+        signature.bind(**arguments)
         return BASES[kind](**arguments)
     except (TypeError, ValueError, KeyError, FglocError) as error:
         raise FglocError(f"robot: {error}", file=path, line=2) from None

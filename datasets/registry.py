@@ -23,6 +23,7 @@ from fgloc.datasets import (
     own_format,
     vitko_swerve,
 )
+from fgloc.datasets.plausible import check_plausible
 from fgloc.datasets.text import read_bytes
 from fgloc.errors import FglocError
 
@@ -105,6 +106,8 @@ def dataset(name: str) -> Dataset:
     """Return a dataset by name; raises FglocError naming the known ones and the nearest."""
     if name in DATASETS:
         return DATASETS[name]
+    if name == SIMULATED:
+        raise FglocError("sim drives are made on the spot, there is nothing to fetch; use sim:NAME")
     known = [*DATASETS, SIMULATED]
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]}? " if near else ""
@@ -167,15 +170,24 @@ def load_drive(drive_id: str, data: Path | None = None) -> Drive:
     """Return the drive a user named: a path, `dataset:run` or `sim:NAME?seed=1&key=value`.
 
     `data` is searched before $FGLOC_DATA and the user's cache. Raises FglocError for an unknown
-    dataset or run, a dataset that is not here, a missing file, or content that cannot be read.
+    dataset or run, a dataset that is not here, a missing file, content that cannot be read, or
+    measurements in an obviously wrong unit (see `fgloc.datasets.plausible`).
     """
     name, _, run = drive_id.partition(":")
-    if not is_dataset_id(drive_id):
-        return _load_path(Path(drive_id), drive_id)
-    if name == SIMULATED:
+    if is_dataset_id(drive_id) and name == SIMULATED:
         from fgloc.datasets.simulator import load_sim
 
         return load_sim(run)
+    drive = _recorded(drive_id, data)
+    check_plausible(drive)
+    return drive
+
+
+def _recorded(drive_id: str, data: Path | None) -> Drive:
+    """Return the drive in a file or of a dataset."""
+    name, _, run = drive_id.partition(":")
+    if not is_dataset_id(drive_id):
+        return _load_path(Path(drive_id), drive_id)
     kind = dataset(name)
     if not run:
         raise FglocError(f"{drive_id} lacks a run; write it like {name}:{kind.example}")

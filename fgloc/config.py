@@ -24,6 +24,7 @@ from typing import TypeVar
 import msgspec
 
 from fgloc.atomic import write_text
+from fgloc.core.bounds import dimension_problem
 from fgloc.core.kinematics import Parameter, WheeledBase
 from fgloc.core.robot import Robot, WheelNoise
 from fgloc.errors import FglocError
@@ -120,7 +121,7 @@ def apply_robot(robot: Robot, path: str | Path) -> Robot:
 
     A new value without a sigma keeps the prior: relative for radii and track, absolute for
     positions and angles. Raises FglocError as `load_robot` does, and for a parameter that this
-    robot does not have or that must be positive.
+    robot does not have, that must be positive or whose size tells of a wrong unit.
     """
     file = load_robot(path)
     known = {p.name: p for p in robot.base.parameters}
@@ -130,6 +131,7 @@ def apply_robot(robot: Robot, path: str | Path) -> Robot:
             names = ", ".join(known) or "none"
             message = f"{robot.name} has no parameter {name!r}; it has {names}"
             raise file.error(message, "parameters", name)
+        _check_dimensions(file, known[name], table)
         if table.value is None:
             continue
         if known[name].log and table.value <= 0.0:
@@ -174,6 +176,18 @@ def _with_sigmas(base: WheeledBase, sigmas: dict[str, float]) -> WheeledBase:
         return replace(p, prior_sigma=float(sigmas.get(p.name, p.prior_sigma)))
 
     return replace(base, parameters=tuple(changed(p) for p in base.parameters))
+
+
+def _check_dimensions(file: RobotFile, known: Parameter, table: ParameterTable) -> None:
+    """Raise FglocError for a value or sigma that must be in another unit."""
+    for key, value in (("value", table.value), ("sigma", table.sigma)):
+        # An angle may be unknown altogether, so its sigma may be anything.
+        if value is None or (key == "sigma" and known.unit == "rad"):
+            continue
+        problem = dimension_problem(known.name, known.unit, value)
+        if problem is not None:
+            name = known.name
+            raise file.error(f"parameters.{name}.{key} {problem}", "parameters", name, key)
 
 
 def _read(path: Path) -> str:

@@ -126,3 +126,18 @@ def test_missing_folder_and_binary_file(tmp_path: Path) -> None:
     (tmp_path / "b").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(FglocError, match="is not UTF-8"):
         load_robot(tmp_path / "b")
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("value = 48", r"robot\.toml:2: .*track\.value is 48, more than 10 m.*write it in m"),
+        ("sigma = 50", r"robot\.toml:2: .*track\.sigma is 50"),
+    ],
+)
+def test_a_size_in_another_unit_is_named(tmp_path: Path, line: str, message: str) -> None:
+    file = tmp_path / "robot.toml"
+    file.write_text(f"[parameters.effective_track]\n{line}\n")
+    base = bases.differential(0.1, 0.1, 0.5)
+    with pytest.raises(FglocError, match=message):
+        apply_robot(Robot("test", base), file)

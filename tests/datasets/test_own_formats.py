@@ -285,3 +285,22 @@ def test_csv_without_header(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     with pytest.raises(FglocError, match=r"a\.csv:[12]: "):
         read_csv(path)
+
+
+def test_a_file_cut_before_its_truth_has_no_truth_and_says_so(tmp_path: Path) -> None:
+    full = tmp_path / "full.csv"
+    write_csv(load_drive("sim:figure-eight"), full)
+    lines = full.read_text().splitlines(keepends=True)
+    first = next(k for k, line in enumerate(lines) if line.startswith("truth,"))
+    cut = tmp_path / "cut.csv"
+    cut.write_text("".join(lines[:first]))
+    drive = read_csv(cut)
+    assert drive.truth is None
+    assert drive.rejected["truth without rows"] == 1
+
+
+def test_the_short_header_names_what_a_base_needs(tmp_path: Path) -> None:
+    file = tmp_path / "short.csv"
+    file.write_text('# fgloc-drive 1\n# {"robot": {"kind": "differential", "radius": 0.1}}\n')
+    with pytest.raises(FglocError, match=r"short\.csv:2: .*needs radius_left, radius_right, track"):
+        read_csv(file)

@@ -154,3 +154,8 @@ def test_simulated_drives_are_handed_over() -> None:
     drive = registry.load_drive("sim:figure-eight?seed=3")
     assert drive.truth is not None
     assert drive.name.startswith("sim:figure-eight")
+
+
+def test_simulated_drives_are_not_a_dataset_to_fetch() -> None:
+    with pytest.raises(FglocError, match="nothing to fetch"):
+        registry.dataset("sim")
