@@ -43,6 +43,8 @@ $(INSTALLED): pyproject.toml
 	@echo "Installing fgloc and what it needs into .venv; this happens once and takes a minute or two."
 	@test -x $(BIN)/pip || $(PYTHON) -m venv --clear .venv
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@echo "Compiling the inner loops (once, about 20 s) and checking that everything works."
+	@$(BIN)/fgloc doctor
 	@touch $@
 
 clean:

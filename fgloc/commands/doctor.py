@@ -66,12 +66,9 @@ assert error < 1e-6, f"the chain ends {error} m from where it should"
 print(f"three poses solved to {error:.0e} m")
 """
 NUMBA_COMPILE = """
-import numba
-f = numba.njit(lambda n: n * (n + 1) // 2)
-assert f(100) == 5050
-from fgloc.core.geometry import wrap_scalar
-assert abs(wrap_scalar(7.0) - (7.0 - 2.0 * 3.141592653589793)) < 1e-12
-print(f"{numba.get_num_threads()} threads, kernels load")
+from fgloc.experiments.warm_up import compile_kernels
+seconds = compile_kernels()
+print(f"compiled now, in {seconds:.0f} s" if seconds > 0.5 else "found compiled")
 """
 
 
@@ -107,7 +104,7 @@ def examine(data: Path | None = None) -> list[Check]:
         *(lambda d=d, m=m: _dependency(d, m, required=True) for d, m in REQUIRED.items()),
         *(lambda d=d, m=m: _dependency(d, m, required=False) for d, m in OPTIONAL.items()),
         lambda: _probe("gtsam solves", GTSAM_SOLVE),
-        lambda: _probe("numba compiles", NUMBA_COMPILE),
+        lambda: _probe("inner loops", NUMBA_COMPILE),
     ]
     with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
         outcomes = [f.result() for f in [pool.submit(p) for p in probes]]
