@@ -15,7 +15,9 @@ from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.settings import Settings
 
 STRAINED = 2.0
-"""Strain that calls for a trial."""
+"""Strain (see `strain`) that calls for a trial."""
+STRETCHED = 3.5
+"""Prior sigmas at which the robot's calibration is not believed."""
 GAIN = 0.3
 """A sensor is left out if the strain falls below this fraction without it."""
 ARBITERS = (Kind.POSITION_FIX, Kind.POSE_FIX, Kind.CAMERA)
@@ -37,6 +39,13 @@ def strain(solution: Solution) -> float:
     return cost / max(count, 1)
 
 
+def stretch(problem: Problem, solution: Solution) -> float:
+    """Return how many prior sigmas the robot's own calibration was pulled away, at most."""
+    robot = range(len(problem.free))
+    pulls = [abs(solution.point.u[k]) / problem.parameters[k].solver_sigma for k in robot]
+    return float(max(pulls, default=0.0))
+
+
 def solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Solution, dict[str, str]]:
     """Solve a drive, and where its sensors contradict each other, without each heading sensor.
 
@@ -48,16 +57,24 @@ def solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Solutio
     notes: dict[str, str] = {}
     suspects = [s.sensor for s in drive.sensors if isinstance(s, Yaw | YawRate)]
     for suspect in suspects:
-        if strain(solution) < STRAINED:
+        before, pulled = strain(solution), stretch(problem, solution)
+        if before < STRAINED and pulled < STRETCHED:
             break
         less = replace(drive, sensors=tuple(s for s in drive.sensors if s.sensor != suspect))
         other = build_problem(less, settings)
         trial = optimise(other, settings)
-        before, after = strain(solution), strain(trial)
-        if after < GAIN * before:
+        after = strain(trial)
+        if before >= STRAINED and after < GAIN * before:
             notes[suspect] = (
                 f"{suspect} contradicts the absolute sensors and was left out: without it "
                 f"their mean cost falls from {before:.3g} to {after:.3g} (0.5 is right)"
             )
+        elif pulled >= STRETCHED and stretch(other, trial) < 0.5 * pulled:
+            notes[suspect] = (
+                f"{suspect} could only be right if the robot's calibration were {pulled:.1f} "
+                "prior sigmas from nominal, and was left out; if the robot is like that, say so "
+                "with --robot"
+            )
+        if suspect in notes:
             drive, problem, solution = less, other, trial
     return problem, solution, notes
