@@ -15,6 +15,8 @@ from fgloc.errors import FglocError
 
 NAME = "fixes"
 """Name of the stream in tables and results."""
+SHORTEST_NS = 1_000_000
+"""Shortest time between fixes [ns]; below it, billions of due times would fill the memory."""
 DEFAULT_SIGMA_M = 0.01
 """Standard deviation of a fix along x and along y [m] where none is given."""
 
@@ -71,6 +73,8 @@ def with_fixes(drive: Drive, every_s: float, sigma_m: float, seed: int) -> Drive
     wheels = trim_to_truth(drive).wheels.stamps_ns
     truth = drive.truth.trajectory
     period = spec.every_s * 1e9
+    if period < SHORTEST_NS:
+        raise FglocError(f"a fix every {every_s:g} s is more than any truth holds; ask for 0.001")
     count = int(float(wheels[-1] - wheels[0]) / period + 1e-9)
     due = wheels[0] + np.round(period * np.arange(1, count + 1)).astype(np.int64)
     late = np.minimum(np.searchsorted(truth.stamps_ns, due), len(truth) - 1)

@@ -95,7 +95,13 @@ Commands = argparse._SubParsersAction  # the type that argparse gives and does n
 
 def _smooth(commands: Commands[argparse.ArgumentParser]) -> None:
     """Add `fgloc smooth`."""
-    parser = _command(commands, "smooth", "estimate the trajectory of one drive, and calibrate")
+    parser = _command(
+        commands,
+        "smooth",
+        "estimate the trajectory of one drive, and calibrate",
+        "fgloc smooth run.log --save track.tum",
+        "fgloc smooth 'optiodom:diff/circular/250620202251/01' --fixes 10:0.002 --out runs",
+    )
     parser.add_argument("drive", metavar="DRIVE", help=DRIVE)
     _fix_options(parser)
     parser.add_argument(
@@ -110,7 +116,14 @@ def _smooth(commands: Commands[argparse.ArgumentParser]) -> None:
 
 def _compare(commands: Commands[argparse.ArgumentParser]) -> None:
     """Add `fgloc compare`."""
-    parser = _command(commands, "compare", "run several methods on the same drives and score them")
+    parser = _command(
+        commands,
+        "compare",
+        "run several methods on the same drives and score them",
+        "fgloc compare sim:demo --out runs",
+        "fgloc compare vitko-swerve:1 vitko-swerve:2 --methods model1,batch --json out.json",
+        "fgloc compare 'optiodom:diff/circular/*' --fixes 10:0.002",
+    )
     parser.add_argument("drives", metavar="DRIVE", nargs="+", help=DRIVE)
     parser.add_argument(
         "--methods", metavar="A,B,C", default=METHODS, help="method ids (default: %(default)s)"
@@ -128,8 +141,19 @@ def _compare(commands: Commands[argparse.ArgumentParser]) -> None:
 
 def _simulate(commands: Commands[argparse.ArgumentParser]) -> None:
     """Add `fgloc simulate`."""
-    parser = _command(commands, "simulate", "make a drive with known truth and write it")
-    parser.add_argument("name", metavar="NAME", help="demo, figure-eight?seed=1&slip=0.2 and so on")
+    parser = _command(
+        commands,
+        "simulate",
+        "make a drive with known truth and write it",
+        "fgloc simulate demo --format jaguar --out runs",
+        "fgloc simulate 'figure-eight?seed=1&slip=fl:3:5:1.2&gyro=on'",
+    )
+    parser.add_argument(
+        "name",
+        metavar="NAME",
+        help="demo, figure-eight, square, random, corridor or one of seed A's drives, with options "
+        "behind ?, separated by & (a wrong name or option lists all)",
+    )
     parser.add_argument(
         "--format",
         choices=("npz", "csv", "jaguar"),
@@ -152,9 +176,14 @@ def _datasets(commands: Commands[argparse.ArgumentParser]) -> None:
     fetch.add_argument("name", metavar="NAME", help="a dataset's name, see `fgloc datasets list`")
     fetch.add_argument("--to", metavar="DIR", type=Path, help="folder (default: the user's cache)")
     _common(fetch)
-    convert = _command(inner, "convert", "write a drive in a format of our own")
+    convert = _command(
+        inner,
+        "convert",
+        "write a drive in a format of our own",
+        "fgloc datasets convert jackal-jackass:0 jackal.csv",
+    )
     convert.add_argument("drive", metavar="DRIVE", help=DRIVE)
-    convert.add_argument("file", metavar="FILE", type=Path, help="target; suffix gives the format")
+    convert.add_argument("file", metavar="FILE", type=Path, help="target; ends in .npz or .csv")
     _common(convert, "data")
 
 
@@ -165,11 +194,16 @@ def _doctor(commands: Commands[argparse.ArgumentParser]) -> None:
 
 
 def _command(
-    commands: Commands[argparse.ArgumentParser], name: str, text: str
+    commands: Commands[argparse.ArgumentParser], name: str, text: str, *examples: str
 ) -> argparse.ArgumentParser:
-    """Add a command described by `text` and return its parser."""
+    """Add a command described by `text` and return its parser; its help ends with `examples`."""
     parser = commands.add_parser(
-        name, help=text, description=text[0].upper() + text[1:] + ".", allow_abbrev=False
+        name,
+        help=text,
+        description=text[0].upper() + text[1:] + ".",
+        epilog="\n  ".join(("examples:", *examples)) if examples else None,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
     )
     # Suppressed, else the default here would undo a --debug given before the command.
     parser.add_argument(
@@ -190,7 +224,8 @@ def _common(parser: argparse.ArgumentParser, *names: str) -> None:
     }
     for name in names:
         metavar, text = helps[name]
-        parser.add_argument(f"--{name}", metavar=metavar, type=Path, help=text)
+        kind = _json_file if name == "json" else Path
+        parser.add_argument(f"--{name}", metavar=metavar, type=kind, help=text)
     parser.set_defaults(**{name: None for name in helps if name not in names})
 
 
@@ -235,6 +270,13 @@ def _seed(text: str) -> int:
     if not text.isascii() or not text.isdigit():
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 0")
     return int(text)
+
+
+def _json_file(text: str) -> Path:
+    """Return the path; "-" would make a file of that name instead of writing to the terminal."""
+    if text == "-":
+        raise argparse.ArgumentTypeError("give the name of a file; tables go to standard output")
+    return Path(text)
 
 
 def _trajectory_file(text: str) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from fgloc import cli
+from fgloc.cli import build_parser, main
 from fgloc.core.geometry import INTEGRATORS
 from fgloc.errors import FglocError
 from fgloc.experiments.methods import available
@@ -94,7 +96,7 @@ def test_version() -> None:
 )
 def test_wrong_usage_exits_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
-        cli.main(arguments)
+        main(arguments)
     assert caught.value.code == 2
     assert "usage: fgloc" in capsys.readouterr().err
 
@@ -123,8 +125,8 @@ def test_copies_of_names_agree_with_their_source() -> None:
 
 def test_status_of_the_handler_is_returned(handler: Callable[[Handler], None]) -> None:
     handler(lambda args: 1 if args.json else 0)
-    assert cli.main(["doctor"]) == 0
-    assert cli.main(["doctor", "--json", "x"]) == 1
+    assert main(["doctor"]) == 0
+    assert main(["doctor", "--json", "x"]) == 1
 
 
 @pytest.mark.parametrize(
@@ -159,9 +161,9 @@ def test_error_is_one_line(
         raise error
 
     handler(fail)
-    assert cli.main(["doctor"]) == 1
+    assert main(["doctor"]) == 1
     assert capsys.readouterr().err == f"fgloc: error: {line}\n"
-    assert cli.main(["doctor", "--debug"]) == 1
+    assert main(["doctor", "--debug"]) == 1
     assert "Traceback" in capsys.readouterr().err
 
 
@@ -170,7 +172,7 @@ def test_interrupt(handler: Callable[[Handler], None], capsys: pytest.CaptureFix
         raise KeyboardInterrupt
 
     handler(interrupt)
-    assert cli.main(["doctor"]) == 130
+    assert main(["doctor"]) == 130
     assert capsys.readouterr().err == "fgloc: interrupted\n"
 
 
@@ -227,3 +229,32 @@ def test_doctor_json(tmp_path: Path) -> None:
     assert set(report) == {"version", "ok", "checks"}
     names = {c["name"] for c in report["checks"] if c["ok"]}
     assert {"gtsam", "open3d", "gtsam solves", "inner loops"} <= names
+
+
+def test_json_to_a_dash_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["compare", "sim:demo", "--json", "-"])
+    assert left.value.code == 2
+    assert "give the name of a file" in capsys.readouterr().err
+
+
+def test_drives_in_the_help_can_be_made() -> None:
+    """Every simulated drive that an example names is one that the simulator knows."""
+    from fgloc.datasets.simulator.drives import NAMED
+    from fgloc.datasets.simulator.spec import parse
+
+    parser = build_parser()
+    (commands,) = (a for a in parser._actions if a.dest == "command")
+    examples = [
+        words
+        for command in commands.choices.values()  # type: ignore[union-attr]
+        for line in (command.epilog or "").splitlines()[1:]
+        for words in [shlex.split(line)]
+    ]
+    assert {words[1] for words in examples} >= {"smooth", "compare", "simulate"}
+    for words in examples:
+        args = parser.parse_args(words[1:])
+        names = [args.name] if args.command == "simulate" else []
+        names += [d.removeprefix("sim:") for d in getattr(args, "drives", []) if "sim:" in d]
+        for name in names:
+            parse(name, NAMED)

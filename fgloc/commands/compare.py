@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from fgloc.atomic import write_text
+from fgloc.commands.places import check_file, check_folder
 from fgloc.experiments.compare import Step, compare
 from fgloc.experiments.fixes import parse as parse_fixes
 from fgloc.experiments.methods import resolved
@@ -35,7 +36,12 @@ def compare_with_progress(
     title: str,
     integrator: Any = "exact",
 ) -> Comparison:
-    """Return the comparison that the options common to `compare` and `smooth` ask for."""
+    """Return the comparison that the options common to `compare` and `smooth` ask for.
+
+    Raises FglocError before anything is read if --json or --out cannot be written.
+    """
+    check_file(args.json)
+    check_folder(args.out)
     fixes = None if args.fixes is None else parse_fixes(args.fixes)
     with ProgressLines(title) as progress:
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from fgloc.commands.compare import compare_with_progress, report
+from fgloc.commands.places import check_file
 from fgloc.core.trajectory_io import save_trajectory
 from fgloc.datasets.registry import expand
 from fgloc.errors import FglocError
@@ -17,6 +18,7 @@ def run(args: argparse.Namespace) -> int:
 
     Raises FglocError for a pattern that stands for several drives; `compare` takes those.
     """
+    check_file(args.save)
     drives = expand([args.drive], args.data)
     if len(drives) != 1:
         raise FglocError(
@@ -25,9 +27,8 @@ def run(args: argparse.Namespace) -> int:
         )
     comparison = compare_with_progress(args, drives, METHOD, title="smoothing")
     trajectory = comparison.drives[0].methods[METHOD].result.trajectory
-    if args.save is not None:
-        save_trajectory(trajectory, args.save)
     report(args, comparison, {"drive": args.drive, "methods": METHOD})
     if args.save is not None:
+        save_trajectory(trajectory, args.save)
         print(f"Trajectory: {args.save}")
     return 0

@@ -58,3 +58,23 @@ def test_smooth_takes_one_drive(data_dir: Path, capsys: pytest.CaptureFixture[st
         pytest.skip("vitko-swerve is not in FGLOC_DATA")
     assert main(["smooth", "vitko-swerve:all", "--data", str(data_dir)]) == 1
     assert "fgloc compare vitko-swerve:all" in capsys.readouterr().err
+
+
+def test_a_place_that_cannot_be_written_is_known_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "file"
+    file.write_text("")
+    for option, place in (("--json", tmp_path), ("--json", file / "a.json"), ("--out", file)):
+        assert main(["compare", "sim:no-such-drive", option, str(place)]) == 1
+        assert str(place) in capsys.readouterr().err.splitlines()[-1]
+    assert main(["smooth", "sim:no-such-drive", "--save", str(file / "a.tum")]) == 1
+    assert "is not a folder" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_fixes_closer_than_any_truth_are_refused_in_one_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["compare", "sim:seed-a-spin-ideal", "--fixes", "1e-9"]) == 1
+    assert "1e-09 s is more than any truth holds" in capsys.readouterr().err

@@ -146,7 +146,8 @@ def test_fixes_are_the_truth_sparse_noisy_and_seeded() -> None:
     noise = (one.positions - truth.trajectory.poses[5::5, :2]).ravel()
     # Chi² of 80 standard normal values lies in 45…125 with all but 1e-3 probability.
     assert 45.0 < float(np.sum((noise / 0.02) ** 2)) < 125.0
-    assert float(one.sigma[0, 0]) == 0.02
+    # What a fix says of itself adds the truth's own 1 mm: sqrt(0.02² + 0.001²).
+    assert float(one.sigma[0, 0]) == pytest.approx(0.0200250, abs=1e-7)
     elsewhere = fixes_of(with_fixes(drive("another name"), 0.5, 0.02, 1))
     assert not np.array_equal(one.positions, elsewhere.positions)
 
@@ -161,6 +162,11 @@ def test_fixes_stand_at_recorded_stamps_and_keep_away_from_gaps() -> None:
     np.testing.assert_array_equal(with_gap.stamps_ns, np.array([5, 15, 20]) * 1_000_000_000)
     everywhere = fixes_of(with_fixes(whole, 5.0, 0.01, 0))
     np.testing.assert_array_equal(with_gap.positions, everywhere.positions[[0, 2, 3]])
+
+
+def test_fixes_of_a_drive_that_has_fixes_get_a_name_of_their_own() -> None:
+    twice = with_fixes(with_fixes(drive(), 5.0, 0.01, 0), 5.0, 0.01, 1)
+    assert [s.sensor for s in twice.sensors][-2:] == ["fixes", "truth_fixes"]
 
 
 def test_fixes_carry_the_reference_s_mounting() -> None:
@@ -180,7 +186,7 @@ def test_fixes_carry_the_reference_s_mounting() -> None:
         (lambda: with_fixes(drive(truth=False), 5.0, 0.01, 0), "no recorded truth"),
         (lambda: with_fixes(drive(), 30.0, 0.01, 0), "too short"),
         (lambda: with_fixes(drive(), -1.0, 0.01, 0), "positive"),
-        (lambda: with_fixes(with_fixes(drive(), 5.0, 0.01, 0), 5.0, 0.01, 0), "of its own"),
+        (lambda: with_fixes(drive(), 1e-9, 0.01, 0), "more than any truth holds"),
         (lambda: parse("ten"), "EVERY_S"),
         (lambda: parse("10:"), "EVERY_S"),
         (lambda: parse("10:0"), "positive"),
