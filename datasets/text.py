@@ -191,7 +191,7 @@ def _numbers_line_by_line(fields: list[list[str]], file: Path, numbers: Integers
 
 def finite_rows(values: Floats, rejected: Counter[str], what: str = NOT_A_NUMBER) -> Mask:
     """Return the mask of rows without NaN or infinity, counting the others under `what`."""
-    good: Mask = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+    good: Mask = np.asarray(np.isfinite(values).all(axis=tuple(range(1, values.ndim))))
     count(rejected, what, int((~good).sum()))
     return good
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from fgloc.estimator import Result
+from fgloc.report.calibration_table import state
+from fgloc.report.cells import fixed
 from fgloc.report.figures import colour, new_figure, save
-from fgloc.report.tables import state
 
 BELIEVED = 0.5
 """Residuals with a robust weight below this are marked as down-weighted."""
@@ -53,7 +54,10 @@ def plot_calibration(result: Result, path: Path) -> Path | None:
     right = axes.secondary_yaxis("right")
     right.set_yticks(
         rows,
-        [f"{c.nominal:.5f} → {c.value:.5f} ± {c.sigma:.5f} {c.unit}  {state(c)}" for c in free],
+        [
+            f"{fixed(c.nominal, 5)} → {fixed(c.value, 5)} ± {c.sigma:.5f} {c.unit}  {state(c)}"
+            for c in free
+        ],
         fontsize="small",
     )
     right.tick_params(length=0)

@@ -3,35 +3,18 @@
 from __future__ import annotations
 
 import io
-import math
 import statistics
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from fgloc.estimator import CalibrationEstimate, SensorCount
-from fgloc.report.outcomes import Comparison, DriveOutcome, MethodOutcome
+from fgloc.estimator import SensorCount
+from fgloc.report.calibration_table import SINGLE, calibrations, far_from_prior
+from fgloc.report.cells import COLUMNS, END_COLUMNS, end_cells, new_table, score_cells, stacked
+from fgloc.report.outcomes import Comparison
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
     from rich.table import Table
-
-NONE = "-"
-"""What stands for a number that does not exist."""
-COLUMNS = (
-    "position RMSE [m]",
-    "aligned RMSE [m]",
-    "heading RMSE [deg]",
-    "end error [m]",
-    "end error [deg]",
-    "max x [m]",
-    "max y [m]",
-    "max heading [deg]",
-    "NEES (ideal 3)",
-    "time [s]",
-)
-"""Numbers of one method on one drive, with units."""
-SINGLE = 1
-"""Up to this many drives, the calibration of each is printed; a summary of more."""
 
 
 def print_comparison(comparison: Comparison, console: Console | None = None) -> None:
@@ -78,7 +61,7 @@ def _parts(comparison: Comparison, *, fancy: bool) -> Iterator[RenderableType]:
         yield f"Total: {comparison.total_is}"
         yield _totals(comparison, fancy)
         yield ""
-    yield from _calibrations(comparison, fancy)
+    yield from calibrations(comparison, fancy)
     counts = _counts(comparison, fancy)
     if counts is not None:
         yield "Measurements used"
@@ -115,28 +98,40 @@ def _heading(comparison: Comparison) -> Iterator[str]:
             "says so."
         )
     if any(d.drive.truth is None for d in drives):
-        yield "Without a recorded truth a drive starts at the origin and has no errors to show."
+        yield (
+            "Without a recorded truth there are no errors to show; a drive starts at the origin, "
+            "unless fixes tell where it is."
+        )
     yield ""
 
 
 def _scores(comparison: Comparison, fancy: bool) -> Iterator[RenderableType]:
-    """Yield the errors in two tables of at most 80 columns, and why methods were skipped."""
-    blocks = (COLUMNS[:5], COLUMNS[5:])
+    """Yield the errors in two tables of at most 80 columns, and why methods were skipped.
+
+    Without any truth there are no errors, so it is one table of where the drives end.
+    """
+    blocks: tuple[Sequence[str], ...] = (COLUMNS[:5], COLUMNS[5:])
     many = len(comparison.drives) > 1
+    unscored = all(
+        m.evaluation is None for outcome in comparison.drives for m in outcome.methods.values()
+    )
+    if unscored:
+        blocks = (END_COLUMNS,)
     for number, names in enumerate(blocks):
-        table = _table(fancy)
+        table = new_table(fancy)
         if many:
             table.add_column("drive", no_wrap=True)
         table.add_column("method", no_wrap=True)
         for name in names:
-            table.add_column(_stacked(name), justify="right", no_wrap=True)
-        if number == 1:
+            table.add_column(stacked(name), justify="right", no_wrap=True)
+        last = number == len(blocks) - 1
+        if last:
             table.add_column("sensors used", no_wrap=True)
         for outcome in comparison.drives:
             for k, (method, found) in enumerate(outcome.methods.items()):
-                cells = _score_cells(found)
-                row = [method, *(cells[5:] if number else cells[:5])]
-                row += [", ".join(found.result.sensors_used)] if number else []
+                cells = end_cells(found) if unscored else score_cells(found)
+                row = [method, *(cells[5:] if number else cells[: len(names)])]
+                row += [", ".join(found.result.sensors_used)] if last else []
                 table.add_row(*([outcome.drive.name if k == 0 else "", *row] if many else row))
         yield table
         yield ""
@@ -153,29 +148,9 @@ def _scores(comparison: Comparison, fancy: bool) -> Iterator[RenderableType]:
         yield ""
 
 
-def _score_cells(found: MethodOutcome) -> list[str]:
-    """Return the numbers of one method on one drive."""
-    seconds = f"{found.result.seconds:.2f}"
-    e = found.evaluation
-    if e is None:
-        return [NONE] * 9 + [seconds]
-    return [
-        f"{e.ate_rmse_m:.4f}",
-        f"{e.ate_aligned_rmse_m:.4f}",
-        f"{e.ate_heading_rmse_deg:.2f}",
-        f"{e.end_position_m:.4f}",
-        f"{e.end_heading_deg:.2f}",
-        f"{e.e_max.x:.4f}",
-        f"{e.e_max.y:.4f}",
-        f"{math.degrees(e.e_max.theta):.2f}",
-        NONE if e.nees is None else f"{e.nees:.2f}",
-        seconds,
-    ]
-
-
 def _totals(comparison: Comparison, fancy: bool) -> Table:
     """Return the table of totals."""
-    table = _table(fancy)
+    table = new_table(fancy)
     table.add_column("method", no_wrap=True)
     for name in ("x [m]", "y [m]", "heading [rad]", "sum", "drives", "median RMSE [m]"):
         table.add_column(name, justify="right", no_wrap=True)
@@ -185,88 +160,6 @@ def _totals(comparison: Comparison, fancy: bool) -> Table:
         numbers = [f"{v:.4f}" for v in (total.x, total.y, total.theta, total.sum)]
         table.add_row(method, *numbers, str(len(errors)), f"{statistics.median(errors):.4f}")
     return table
-
-
-def _calibrations(comparison: Comparison, fancy: bool) -> Iterator[RenderableType]:
-    """Yield the calibration of every method that estimates one."""
-    for method in comparison.methods:
-        found = [
-            (d, d.methods[method].result.calibration)
-            for d in comparison.drives
-            if method in d.methods and d.methods[method].result.calibration
-        ]
-        if not found:
-            continue
-        if len(comparison.drives) <= SINGLE:
-            for _, calibration in found:
-                yield f"Calibration by {method}"
-                yield _calibration(calibration, fancy)
-        else:
-            yield from _calibration_summaries(method, found, fancy)
-        yield ""
-
-
-def _calibration(calibration: Sequence[CalibrationEstimate], fancy: bool) -> Table:
-    """Return one calibration, parameter by parameter."""
-    table = _table(fancy)
-    table.add_column("parameter", no_wrap=True)
-    for name in ("nominal", "prior ±σ", "estimate", "±σ"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("unit", no_wrap=True)
-    table.add_column("", no_wrap=True)
-    for c in calibration:
-        table.add_row(
-            c.name,
-            f"{c.nominal:.5f}",
-            f"{c.prior_sigma:.5f}" if c.prior_sigma > 0.0 else "fixed",
-            f"{c.value:.5f}",
-            f"{c.sigma:.5f}" if math.isfinite(c.sigma) else NONE,
-            c.unit,
-            state(c),
-        )
-    return table
-
-
-def state(c: CalibrationEstimate) -> str:
-    """Return "observed", "not observed" or "fixed"."""
-    if not c.prior_sigma > 0.0:
-        return "fixed"
-    return "observed" if c.observed else "not observed"
-
-
-def _calibration_summaries(
-    method: str,
-    found: Sequence[tuple[DriveOutcome, Sequence[CalibrationEstimate]]],
-    fancy: bool,
-) -> Iterator[RenderableType]:
-    """Yield, for each robot, medians over its drives."""
-    robots: dict[str, list[Sequence[CalibrationEstimate]]] = {}
-    for outcome, calibration in found:
-        robots.setdefault(outcome.drive.robot.name, []).append(calibration)
-    for robot, calibrations in robots.items():
-        number = len(calibrations)
-        yield f"Calibration by {method}, {robot}: medians over {number} drives, each on its own"
-        table = _table(fancy)
-        table.add_column("parameter", no_wrap=True)
-        for name in ("nominal", "estimate", "±σ"):
-            table.add_column(name, justify="right", no_wrap=True)
-        table.add_column("unit", no_wrap=True)
-        table.add_column("observed in", no_wrap=True)
-        names = dict.fromkeys(c.name for calibration in calibrations for c in calibration)
-        for name in names:
-            same = [c for calibration in calibrations for c in calibration if c.name == name]
-            middle = [
-                statistics.median(values)
-                for values in (
-                    [c.nominal for c in same],
-                    [c.value for c in same],
-                    [c.sigma for c in same],
-                )
-            ]
-            seen = sum(c.observed for c in same)
-            states = "fixed" if not same[0].prior_sigma > 0.0 else f"{seen} of {len(same)}"
-            table.add_row(name, *(f"{m:.5f}" for m in middle), same[0].unit, states)
-        yield table
 
 
 def _counts(comparison: Comparison, fancy: bool) -> Table | None:
@@ -283,7 +176,7 @@ def _counts(comparison: Comparison, fancy: bool) -> Table | None:
                 )
     if not sums:
         return None
-    table = _table(fancy)
+    table = new_table(fancy)
     table.add_column("method", no_wrap=True)
     table.add_column("sensor", no_wrap=True)
     for name in ("accepted", "down-weighted", "rejected"):
@@ -310,6 +203,7 @@ def _remarks(comparison: Comparison) -> Iterator[str]:
             elif "NOT" in found.result.convergence:
                 lines.append(f"{method} did not converge.")
             lines += (f"{method}: {note}." for note in found.result.notes)
+            lines += far_from_prior(method, found.result.calibration)
         for line in lines:
             remarks.setdefault(line, []).append(drive.name)
     for line, names in remarks.items():
@@ -319,28 +213,6 @@ def _remarks(comparison: Comparison) -> Iterator[str]:
 def _short(names: Sequence[str], most: int = 3) -> str:
     """Return some names and how many there are."""
     return ", ".join(names) if len(names) <= most else f"{names[0]} and {len(names) - 1} more"
-
-
-def _stacked(name: str) -> str:
-    """Return a column name on two lines, the unit below, to keep columns narrow."""
-    head, _, unit = name.rpartition(" [")
-    if head:
-        return f"{head}\n[{unit}"
-    return name.replace(" (", "\n(")
-
-
-def _table(fancy: bool) -> Table:
-    """Return an empty table in the style of a terminal or of a pipe."""
-    from rich import box
-    from rich.table import Table
-
-    return Table(
-        box=box.SIMPLE_HEAD if fancy else None,
-        pad_edge=False,
-        padding=(0, 1) if fancy else (0, 2, 0, 0),
-        show_edge=False,
-        header_style="bold" if fancy else "",
-    )
 
 
 def markdown(comparison: Comparison, title: str, figures: Iterable[str]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -144,3 +145,30 @@ def test_folder_names_are_safe_and_differ() -> None:
     for name in names:
         assert "/" not in name
         assert not name.startswith(".")
+
+
+def test_without_truth_the_table_tells_where_the_drive_ends(comparison: Comparison) -> None:
+    """The end of the fixture's arc plus 0.01, with sigmas 0.01, 0.0141 m and 1.81 degrees."""
+    outcome = comparison.drives[0]
+    text = plain_text(replace(comparison, drives=(replace(outcome, methods=outcome.methods),)))
+    assert "position RMSE" not in text
+    (row,) = [line.split() for line in text.splitlines() if line.startswith("batch   ")][:1]
+    # 50 steps: 0.45 rad on average at 5 cm radius, and (0.5 - 0.4) · 0.05 / 0.4 rad of turn.
+    turn = 50 * 0.1 * 0.05 / 0.4
+    radius = 50 * 0.45 * 0.05 / turn
+    x, y = radius * np.sin(turn) + 0.01, radius * (1 - np.cos(turn)) + 0.01
+    assert row[2:4] == [f"{x:.4f}", f"{y:.4f}"]
+    assert row[4:8] == [f"{np.degrees(turn + 0.01):.2f}", "0.0100", "0.0141", "1.81"]
+
+
+def test_a_calibration_far_from_its_prior_is_remarked_on(comparison: Comparison) -> None:
+    far = CalibrationEstimate("effective_track", 0.4, 0.55, 0.01, 0.02)
+    near = CalibrationEstimate("icr_x", 0.0, -1e-9, 0.01, 0.02)
+    outcome = comparison.drives[0]
+    batch = outcome.methods["batch"]
+    moved = replace(batch, result=replace(batch.result, calibration=(far, near)))
+    methods = {**outcome.methods, "batch": moved}
+    text = plain_text(replace(comparison, drives=(replace(outcome, methods=methods),)))
+    assert "batch moves effective_track by more than 3 prior σ" in text
+    assert "moves icr_x" not in text
+    assert "-0.00000" not in text
