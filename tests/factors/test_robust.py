@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fgloc.errors import FglocError
-from fgloc.factors.robust import PLAIN, Loss, LossName
+from fgloc.factors.robust import FAINT, PLAIN, Loss, LossName
 
 NAMES: tuple[LossName, ...] = ("none", "huber", "cauchy", "tukey")
 S = np.array([0.01, 0.1, 0.5, 1.0, 1.9, 2.1, 3.0, 5.0, 20.0, 1e3])
@@ -19,8 +19,9 @@ def test_weight_is_twice_the_slope_over_the_squared_norm(name: LossName, k: floa
     loss, squared = Loss(name, k), S * S
     h = 1e-5 * squared + 1e-7
     slope = (loss.cost(squared + h) - loss.cost(squared - h)) / (2.0 * h)
-    # d rho / d(s²) = rho'(s) / (2 s), so twice that is the weight.
-    np.testing.assert_allclose(loss.weight(squared), 2.0 * slope, rtol=1e-5, atol=1e-7)
+    # d rho / d(s²) = rho'(s) / (2 s), so twice that is the weight, never quite nothing.
+    expected = np.maximum(2.0 * slope, FAINT)
+    np.testing.assert_allclose(loss.weight(squared), expected, rtol=1e-5, atol=1e-7)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -33,12 +34,13 @@ def test_small_residuals_are_plain_least_squares(name: LossName) -> None:
 def test_large_residuals_pull_as_the_loss_promises() -> None:
     k, far = 3.0, 1e6
     s = np.array([far])
-    # Pull = weight times s. Plain: grows with s; Huber: stays k; Cauchy: k²/s; Tukey: nothing.
+    # Pull = weight times s. Plain: grows with s; Huber: stays k; Cauchy: k²/s; Tukey: a trace.
     pull = {n: float((Loss(n, k).weight(s * s) * s)[0]) for n in NAMES}
     assert pull["none"] == far
     assert pull["huber"] == pytest.approx(k, rel=1e-12)
     assert pull["cauchy"] == pytest.approx(k * k / far, rel=1e-6)
-    assert pull["tukey"] == 0.0
+    assert pull["tukey"] == pytest.approx(FAINT * far, rel=1e-12)
+    assert FAINT < 1e-4
     cost = {n: float(Loss(n, k).cost(s * s)[0]) for n in NAMES}
     assert cost["none"] == 0.5 * far * far
     assert cost["huber"] == pytest.approx(k * far - k * k / 2, rel=1e-12)
@@ -54,7 +56,8 @@ def test_losses_are_gtsams_estimators() -> None:
         (Loss("tukey", 4.5), m.Tukey.Create(4.5)),
     ):
         squared = S * S
-        np.testing.assert_allclose(loss.weight(squared), [theirs.weight(s) for s in S], rtol=1e-9)
+        weights = np.maximum([theirs.weight(s) for s in S], FAINT)
+        np.testing.assert_allclose(loss.weight(squared), weights, rtol=1e-9)
         np.testing.assert_allclose(loss.cost(squared), [theirs.loss(s) for s in S], rtol=1e-9)
 
 
