@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 FAR = 3.0
 """A calibration this many prior sigmas from nominal is remarked on."""
+OBSERVED = "observed: ±σ is less than half the prior's"
+"""What the last column means; `CalibrationEstimate.observed` decides it."""
 SINGLE = 1
 """Up to this many drives, the calibration of each is printed; a summary of more."""
 
@@ -33,7 +35,7 @@ def calibrations(comparison: Comparison, fancy: bool) -> Iterator[RenderableType
             continue
         if len(comparison.drives) <= SINGLE:
             for _, calibration in found:
-                yield f"Calibration by {method}"
+                yield f"Calibration by {method} ({OBSERVED})"
                 yield _calibration(calibration, fancy)
         else:
             yield from _calibration_summaries(method, found, fancy)
@@ -80,6 +82,7 @@ def _calibration_summaries(
     for robot, calibrations in robots.items():
         number = len(calibrations)
         yield f"Calibration by {method}, {robot}: medians over {number} drives, each on its own"
+        yield f"({OBSERVED})"
         table = new_table(fancy)
         table.add_column("parameter", no_wrap=True)
         for name in ("nominal", "estimate", "±σ"):

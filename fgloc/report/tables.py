@@ -194,7 +194,7 @@ def _remarks(comparison: Comparison) -> Iterator[str]:
     remarks: dict[str, list[str]] = {}
     for outcome in comparison.drives:
         drive = outcome.drive
-        rejected = [f"{n} {reason}" for reason, n in drive.rejected.items() if n]
+        rejected = [f"{n} × {reason}" for reason, n in drive.rejected.items() if n]
         lines = [f"Rejected on reading: {', '.join(rejected)}."] if rejected else []
         lines += drive.notes
         for method, found in outcome.methods.items():

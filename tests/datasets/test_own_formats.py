@@ -304,3 +304,14 @@ def test_the_short_header_names_what_a_base_needs(tmp_path: Path) -> None:
     file.write_text('# fgloc-drive 1\n# {"robot": {"kind": "differential", "radius": 0.1}}\n')
     with pytest.raises(FglocError, match=r"short\.csv:2: .*needs radius_left, radius_right, track"):
         read_csv(file)
+
+
+def test_the_file_that_the_documentation_shows_can_be_read(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "datasets.md").read_text()
+    block = next(b for b in text.split("```text\n") if b.startswith("# fgloc-drive"))
+    file = tmp_path / "shown.csv"
+    file.write_text(block.partition("```")[0])
+    drive = load_drive(str(file))
+    assert [s.sensor for s in drive.sensors] == ["yaw", "fixes"]
+    np.testing.assert_array_equal(drive.wheels.angles, [[0.52, 0.55]])
+    assert drive.truth is not None

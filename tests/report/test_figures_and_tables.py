@@ -110,7 +110,8 @@ def test_plain_tables_are_whole_and_say_everything(comparison: Comparison) -> No
         "0.05123",
         "wheels, fixes",
         "model2 is skipped: model2 needs a yaw sensor.",
-        "3 truncated lines",
+        "3 × truncated lines",
+        "observed: ±σ is less than half the prior's",
         "A note on this recording.",
         "converged after 3 iterations",
     ):
