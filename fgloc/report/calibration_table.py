@@ -81,7 +81,8 @@ def _calibration_summaries(
         robots.setdefault(outcome.drive.robot.name, []).append(calibration)
     for robot, calibrations in robots.items():
         number = len(calibrations)
-        yield f"Calibration by {method}, {robot}: medians over {number} drives, each on its own"
+        drives = f"medians over {number} drives, each on its own" if number > 1 else "one drive"
+        yield f"Calibration by {method}, {robot}: {drives}"
         yield f"({OBSERVED})"
         table = new_table(fancy)
         table.add_column("parameter", no_wrap=True)
@@ -104,6 +105,8 @@ def _calibration_summaries(
             states = "fixed" if not same[0].prior_sigma > 0.0 else f"{seen} of {len(same)}"
             table.add_row(name, *(fixed(m, 5) for m in middle), same[0].unit, states)
         yield table
+        if robot != list(robots)[-1]:
+            yield ""
 
 
 def far_from_prior(method: str, calibration: Sequence[CalibrationEstimate]) -> Iterator[str]:

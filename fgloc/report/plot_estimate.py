@@ -15,6 +15,9 @@ from fgloc.report.figures import colour, new_figure, save
 BELIEVED = 0.5
 """Residuals with a robust weight below this are marked as down-weighted."""
 
+ROUNDING = 1e-6
+"""Residuals below this [m, rad or σ] are drawn as zero."""
+
 
 def plot_calibration(result: Result, path: Path) -> Path | None:
     """Draw each parameter's posterior against its prior; return the PNG's path.
@@ -93,6 +96,9 @@ def plot_residuals(result: Result, path: Path) -> Path | None:
             axes.plot(t[weak], values[weak], "o", ms=6, mfc="none", mec="#000000", mew=1.0)
             axes.axhline(0.0, color="#000000", lw=0.6)
             axes.grid(alpha=0.3)
+            # Rounding errors are not a course worth a scale of their own.
+            if float(np.max(np.abs(values), initial=0.0)) < ROUNDING:
+                axes.set_ylim(-ROUNDING, ROUNDING)
         grid[row, 1].axhspan(-2.0, 2.0, color="#888888", alpha=0.2, lw=0)
         grid[row, 0].set_ylabel(f"{r.sensor}\n{r.components[k]}", fontsize="small")
         grid[row, 1].set_ylabel("normalised", fontsize="small")

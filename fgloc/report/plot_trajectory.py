@@ -9,7 +9,7 @@ import numpy as np
 
 from fgloc.core.evaluation import error_series, map_mount
 from fgloc.core.measurements import Floats, PoseFixes, PositionFixes
-from fgloc.report.figures import FIX, TRUTH, colour, new_figure, save, style
+from fgloc.report.figures import FIX, TRUTH, colour, height, new_figure, save, style
 from fgloc.report.outcomes import DriveOutcome
 
 if TYPE_CHECKING:
@@ -47,7 +47,15 @@ def plot_trajectory(outcome: DriveOutcome, path: Path) -> Path:
         axes.plot(*shown[0].T, color=TRUTH, lw=3.5, alpha=0.35, label="truth")
     for method, trajectory in mapped.items():
         x, y = trajectory.poses[:, 0], trajectory.poses[:, 1]
-        axes.plot(x, y, color=colour(method), ls=style(method), lw=1.4, label=method)
+        axes.plot(
+            x,
+            y,
+            color=colour(method),
+            ls=style(method),
+            lw=1.4,
+            label=method,
+            zorder=height(method),
+        )
         axes.plot(x[-1], y[-1], "s", color=colour(method), ms=6, mec="white", mew=0.8, zorder=4)
         if trajectory.covariances is not None:
             _ellipses(axes, trajectory.poses, trajectory.covariances, extent, method)
@@ -127,6 +135,7 @@ def plot_errors(outcome: DriveOutcome, path: Path) -> Path | None:
                     color=colour(method),
                     ls=style(method),
                     lw=1.1,
+                    zorder=height(method),
                     label=method if row == 0 else None,
                 )
                 if s.covariances is not None and block is blocks[-1]:

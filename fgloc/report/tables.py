@@ -84,7 +84,9 @@ def _heading(comparison: Comparison) -> Iterator[str]:
         s for d in drives for s in (d.drive.wheels.sensor, *(s.sensor for s in d.drive.sensors))
     )
     single = len(comparison.methods) == 1
-    yield f"Offered{'' if single else ' to every method'}: {', '.join(offered)}."
+    mixed = any(len(d.drive.sensors) + 1 < len(offered) for d in drives)
+    where = ", where a drive has it" if mixed else ""
+    yield f"Offered{'' if single else ' to every method'}{where}: {', '.join(offered)}."
     if comparison.settings.fixes is not None:
         every_s, sigma_m = comparison.settings.fixes
         yield (

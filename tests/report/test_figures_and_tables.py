@@ -18,6 +18,7 @@ from fgloc.core.robot import Robot
 from fgloc.core.trajectory import Trajectory
 from fgloc.core.trajectory_io import load_trajectory
 from fgloc.estimator import CalibrationEstimate, Result, SensorCount, SensorResiduals
+from fgloc.report.figures import height
 from fgloc.report.outcomes import Comparison, DriveOutcome, MethodOutcome
 from fgloc.report.run_files import draw_figures, folder_names, write_run
 from fgloc.report.tables import plain_text
@@ -173,3 +174,21 @@ def test_a_calibration_far_from_its_prior_is_remarked_on(comparison: Comparison)
     assert "batch moves effective_track by more than 3 prior σ" in text
     assert "moves icr_x" not in text
     assert "-0.00000" not in text
+
+
+def test_drives_that_differ_say_so(comparison: Comparison) -> None:
+    one = comparison.drives[0]
+    other = replace(
+        one,
+        drive=replace(one.drive, name="b", sensors=(), robot=replace(one.drive.robot, name="r2")),
+    )
+    text = plain_text(replace(comparison, drives=(one, other)))
+    assert "Offered to every method, where a drive has it: wheels, fixes." in text
+    assert "Calibration by batch, robot: one drive" in text
+    assert "Calibration by batch, r2: one drive" in text
+
+
+def test_equal_paths_are_both_seen() -> None:
+    """Dashed lines lie above solid ones, and all lie below markers and ellipses (3 and up)."""
+    assert height("batch") < height("model1") < 3.0
+    assert height("batch") < height("model2") < 3.0
