@@ -107,6 +107,15 @@ def test_standing_robot_with_noise_passes() -> None:
     )
 
 
+def test_one_strange_reading_in_a_tenth_of_a_second_passes() -> None:
+    """0.7 rad between two readings 20 ms apart is 35 rad/s, and says nothing about units."""
+    t = np.array([0, 20_000_000, 40_000_000], dtype=np.int64)
+    base = bases.differential(0.1, 0.1, 0.5)
+    wheels = WheelIncrements("wheels", t, np.full((2, 2), 0.01), base.driven_names)
+    yaw = Yaw("yaw", t, np.array([0.0, 0.7, 0.7]), 0.02)
+    check_plausible(Drive("short", Robot("test", base), wheels, (yaw,)))
+
+
 def test_reading_a_file_checks_it(tmp_path: Path) -> None:
     rows = [f"wheels,{100_000_000 * k},0.1,0.1" for k in range(1, 30)]
     head = '{"robot": {"kind": "differential", "radius_left": 84, "radius_right": 84, "track": 9}}'
