@@ -64,7 +64,8 @@ def main(arguments: list[str]) -> int:
                 assert drive.truth is not None
                 found = {c.name: c.value for c in result.calibration}
                 sensor, mount = drive.truth.sensor, drive.truth.mount
-                at = [found.get(f"{sensor}_{a}", m) for a, m in zip("x y yaw".split(), mount)]
+                axes = zip(("x", "y", "yaw"), mount, strict=True)
+                at = [found.get(f"{sensor}_{axis}", nominal) for axis, nominal in axes]
                 error = evaluate(result.trajectory, drive.truth, (at[0], at[1], at[2]))
                 nees = np.nan if error.nees is None else error.nees
                 rows[_label(drive), interval].append(

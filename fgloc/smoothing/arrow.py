@@ -1,49 +1,57 @@
-"""Normal equations of a chain of keyframes with shared calibration, solved in linear time.
+"""A chain of keyframes with shared calibration, eliminated row by row in linear time.
 
-The matrix is block tridiagonal (keyframes, B×B) with a dense border (calibration, G columns): an
-arrow. Block Cholesky along the chain, then the border's Schur complement; the same factors give
-the marginal covariance of every keyframe and of the calibration in one backward sweep. Everything
-is O(K·(B³ + B²·G + B·G²)) in time and O(K·B·(B + G)) in memory.
+The whitened Jacobian of such a graph is block bidiagonal (keyframes, B columns each) with a dense
+border (calibration, G columns). Householder QR walks along the chain: the rows that touch keyframe
+k, and what is left of all earlier ones, are made triangular; B rows give keyframe k by the next
+one and the calibration, the rest is carried on. Working on the rows and not on their sums of
+squares keeps all digits: after an hour of dead reckoning the calibration's prior would drown in
+the rounding of a Cholesky factor. O(K·(B+G)²·B) in time, O(K·B·(B+G)) in memory.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fgloc.core.compiled import compiled
 from fgloc.core.measurements import Floats, Stamps
+from fgloc.factors.tables import FactorTable, Linearised
+
+SINGULAR = 1e-13
+"""A pivot this small beside its column is rounding, not information."""
 
 
 @dataclass(frozen=True)
-class NormalEquations:
-    """H d = -b in blocks, as sums over all factors."""
+class ChainRows:
+    """All whitened, weighted rows of a linearised graph, sorted along the chain."""
 
-    diagonal: Floats
-    """(K, B, B) keyframe blocks."""
-    upper: Floats
-    """(K-1, B, B) blocks between keyframe k and k+1."""
-    border: Floats
-    """(K, B, G) blocks between keyframes and calibration."""
-    corner: Floats
-    """(G, G) calibration block."""
-    gradient: Floats
-    """(K, B) gradient by the keyframes."""
-    gradient_corner: Floats
-    """(G,) gradient by the calibration."""
+    rows: Floats
+    """(N, 2 B + G + 1): by keyframe k, by k+1, by calibration, and the right side (-residual)."""
+    bounds: Stamps
+    """(K+1,) rows bounds[k] to bounds[k+1] belong to keyframe k."""
+    width: int
+    """B, the width of a keyframe's state."""
+    prior: Floats
+    """(P, G + 1) rows on the calibration alone, with their right side."""
 
-    @staticmethod
-    def zeros(keyframes: int, width: int, calibration: int) -> NormalEquations:
-        """Return empty sums for K keyframes of width B and G calibration variables."""
-        return NormalEquations(
-            np.zeros((keyframes, width, width)),
-            np.zeros((max(keyframes - 1, 0), width, width)),
-            np.zeros((keyframes, width, calibration)),
-            np.zeros((calibration, calibration)),
-            np.zeros((keyframes, width)),
-            np.zeros(calibration),
-        )
+    @property
+    def calibration(self) -> int:
+        """Return G, the number of calibration variables."""
+        return int(self.prior.shape[1]) - 1
+
+    def squared_norms(self) -> tuple[Floats, Floats]:
+        """Return the squared column norms: (K, B) of the keyframes, (G,) of the calibration."""
+        b, g = self.width, self.calibration
+        keyframes = self.bounds.size - 1
+        out = np.zeros((keyframes + 1, b))
+        k = np.repeat(np.arange(keyframes), np.diff(self.bounds))
+        squared = self.rows * self.rows
+        np.add.at(out, k, squared[:, :b])
+        np.add.at(out, k + 1, squared[:, b : 2 * b])
+        shared = squared[:, 2 * b : 2 * b + g].sum(axis=0) + (self.prior[:, :g] ** 2).sum(axis=0)
+        return out[:keyframes], shared
 
 
 @dataclass(frozen=True)
@@ -60,229 +68,269 @@ class ArrowSolution:
     """(G, G) marginal covariance of the calibration."""
 
 
+def stack(
+    linear: Sequence[tuple[FactorTable, Linearised, Floats]],
+    keyframes: int,
+    width: int,
+    prior: Floats,
+) -> ChainRows:
+    """Return the rows of linearised tables with their robust weights (M,), sorted by keyframe.
+
+    `prior` (P, G + 1) are rows on the calibration alone. O(N).
+    """
+    g = prior.shape[1] - 1
+    count = np.zeros(keyframes, dtype=np.int64)
+    for table, _, _ in linear:
+        count += table.dimension * np.bincount(table.first, minlength=keyframes)
+    bounds = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    rows = np.zeros((int(bounds[-1]), 2 * width + g + 1))
+    cursor = bounds[:-1].copy()
+    for table, lin, weight in linear:
+        _place(
+            table.first,
+            table.pairwise,
+            np.sqrt(weight),
+            lin.residual,
+            lin.by_first,
+            lin.by_second,
+            lin.by_calibration,
+            2 * width + table.calibration.start,
+            cursor,
+            rows,
+        )
+    return ChainRows(rows, bounds, width, prior)
+
+
 @compiled
-def accumulate(
+def _place(
     first: Stamps,
     pairwise: bool,
-    weight: Floats,
+    root: Floats,
     r: Floats,
     ji: Floats,
     jj: Floats,
     jg: Floats,
     offset: int,
-    diagonal: Floats,
-    upper: Floats,
-    border: Floats,
-    corner: Floats,
-    gradient: Floats,
-    gradient_corner: Floats,
+    cursor: Stamps,
+    rows: Floats,
 ) -> None:
-    """Add weighted JᵀJ and Jᵀr of one table; its calibration block starts at column `offset`."""
+    """Write the rows of one table at the cursors of their keyframes."""
     d, b, g = r.shape[1], ji.shape[2], jg.shape[2]
+    last = rows.shape[1] - 1
     for k in range(first.size):
-        w = weight[k]
-        if w == 0.0:
-            continue
-        i = first[k]
         for q in range(d):
-            rq = w * r[k, q]
+            row = rows[cursor[first[k]]]
+            cursor[first[k]] += 1
             for a in range(b):
-                va = ji[k, q, a]
-                if va != 0.0:
-                    gradient[i, a] += va * rq
-                    va *= w
-                    for c in range(b):
-                        diagonal[i, a, c] += va * ji[k, q, c]
-                    for c in range(g):
-                        border[i, a, offset + c] += va * jg[k, q, c]
-                    if pairwise:
-                        for c in range(b):
-                            upper[i, a, c] += va * jj[k, q, c]
+                row[a] = root[k] * ji[k, q, a]
                 if pairwise:
-                    va = jj[k, q, a]
-                    if va != 0.0:
-                        gradient[i + 1, a] += va * rq
-                        va *= w
-                        for c in range(b):
-                            diagonal[i + 1, a, c] += va * jj[k, q, c]
-                        for c in range(g):
-                            border[i + 1, a, offset + c] += va * jg[k, q, c]
+                    row[b + a] = root[k] * jj[k, q, a]
             for a in range(g):
-                va = jg[k, q, a]
-                if va != 0.0:
-                    gradient_corner[offset + a] += va * rq
-                    va *= w
-                    for c in range(g):
-                        corner[offset + a, offset + c] += va * jg[k, q, c]
+                row[offset + a] = root[k] * jg[k, q, a]
+            row[last] = -root[k] * r[k, q]
 
 
 @compiled
-def _cholesky(a: Floats) -> bool:
-    """Overwrite the lower triangle of `a` by its Cholesky factor; False if not positive."""
-    n = a.shape[0]
-    for j in range(n):
-        for k in range(j):
-            for i in range(j, n):
-                a[i, j] -= a[i, k] * a[j, k]
-        if not a[j, j] > 0.0:
+def _triangularise(a: Floats, rows: int, cols: int, active: Stamps) -> None:
+    """Make the first `cols` columns of a[:rows] upper triangular by Householder reflections.
+
+    Rows with a zero in the column stay out of its reflection, so what is carried along the chain,
+    triangular already, costs next to nothing.
+    """
+    width = a.shape[1]
+    for j in range(min(rows, cols)):
+        active[0] = j
+        m = 1
+        norm = a[j, j] * a[j, j]
+        for i in range(j + 1, rows):
+            if a[i, j] != 0.0:
+                active[m] = i
+                m += 1
+                norm += a[i, j] * a[i, j]
+        if m == 1:
+            continue
+        alpha = -np.sqrt(norm) if a[j, j] > 0.0 else np.sqrt(norm)
+        lead = a[j, j] - alpha
+        scale = 2.0 / (norm - a[j, j] * a[j, j] + lead * lead)
+        for c in range(j + 1, width):
+            t = lead * a[j, c]
+            for q in range(1, m):
+                t += a[active[q], j] * a[active[q], c]
+            if t != 0.0:
+                t *= scale
+                a[j, c] -= t * lead
+                for q in range(1, m):
+                    a[active[q], c] -= t * a[active[q], j]
+        a[j, j] = alpha
+        for q in range(1, m):
+            a[active[q], j] = 0.0
+
+
+@compiled
+def _eliminate(
+    rows: Floats, bounds: Stamps, damping: Floats, b: int, g: int, carry: Floats, r: Floats
+) -> bool:
+    """Eliminate all keyframes; False if one is not determined.
+
+    `damping` (K, B) are diagonal rows added to each keyframe (zeros for none); `carry`
+    (b + g, b + g + 1) holds the rows on the calibration at first, and what is left of them at
+    last; `r` (K, B, 2 B + G + 1) receives the triangular rows of every keyframe.
+    """
+    keyframes = bounds.size - 1
+    width = 2 * b + g + 1
+    most = 0
+    for k in range(keyframes):
+        most = max(most, bounds[k + 1] - bounds[k])
+    work = np.zeros((most + 2 * b + g, width))
+    active = np.empty(most + 2 * b + g, np.int64)
+    held = g
+    for k in range(keyframes):
+        n = 0
+        for i in range(held):
+            for c in range(b):
+                work[n, c] = carry[i, c]
+                work[n, b + c] = 0.0
+            for c in range(g + 1):
+                work[n, 2 * b + c] = carry[i, b + c]
+            n += 1
+        for i in range(bounds[k], bounds[k + 1]):
+            for c in range(width):
+                work[n, c] = rows[i, c]
+            n += 1
+        for i in range(b):
+            if damping[k, i] > 0.0:
+                for c in range(width):
+                    work[n, c] = 0.0
+                work[n, i] = damping[k, i]
+                n += 1
+        if n < b:
             return False
-        pivot = np.sqrt(a[j, j])
-        for i in range(j, n):
-            a[i, j] /= pivot
+        for i in range(b):
+            largest = 0.0
+            for q in range(n):
+                largest = max(largest, abs(work[q, i]))
+            r[k, i, 0] = largest
+        _triangularise(work, n, 2 * b + g, active)
+        for i in range(b):
+            if not abs(work[i, i]) > SINGULAR * r[k, i, 0]:
+                return False
+        for i in range(b):
+            for c in range(width):
+                r[k, i, c] = work[i, c]
+        held = min(n - b, b + g)
+        for i in range(b + g):
+            for c in range(b):
+                carry[i, c] = work[b + i, b + c] if i < held else 0.0
+            for c in range(g + 1):
+                carry[i, b + c] = work[b + i, 2 * b + c] if i < held else 0.0
     return True
 
 
 @compiled
-def _solve_lower(factor: Floats, x: Floats) -> None:
-    """Overwrite the columns of x by L⁻¹ x."""
-    n = factor.shape[0]
-    for c in range(x.shape[1]):
-        for i in range(n):
-            v = x[i, c]
-            for k in range(i):
-                v -= factor[i, k] * x[k, c]
-            x[i, c] = v / factor[i, i]
-
-
-@compiled
-def _solve_upper(factor: Floats, x: Floats) -> None:
-    """Overwrite the columns of x by L⁻ᵀ x."""
-    n = factor.shape[0]
-    for c in range(x.shape[1]):
-        for i in range(n - 1, -1, -1):
-            v = x[i, c]
-            for k in range(i + 1, n):
-                v -= factor[k, i] * x[k, c]
-            x[i, c] = v / factor[i, i]
-
-
-@compiled
-def _forward(factor: Floats, upper: Floats, right: Floats) -> int:
-    """Factor the chain in place and reduce the right sides (K, B, R); K on success, else where.
-
-    Afterwards `factor[k]` holds the Cholesky factor L_k of the reduced diagonal block, `upper[k]`
-    holds L_k⁻¹ U_k and `right[k]` holds L_k⁻¹ of its reduced rows.
-    """
-    n: int = right.shape[0]
-    b, m = right.shape[1], right.shape[2]
-    for k in range(n):
-        if not _cholesky(factor[k]):
-            return k
-        _solve_lower(factor[k], right[k])
-        if k + 1 < n:
-            u = upper[k]
-            _solve_lower(factor[k], u)
-            for a in range(b):
+def _substitute(r: Floats, b: int, calibration: Floats, step: Floats) -> None:
+    """Fill the keyframe steps (K, B) from the last one back."""
+    keyframes, g = r.shape[0], calibration.size
+    for k in range(keyframes - 1, -1, -1):
+        for i in range(b - 1, -1, -1):
+            v = r[k, i, 2 * b + g]
+            for c in range(i + 1, b):
+                v -= r[k, i, c] * step[k, c]
+            if k + 1 < keyframes:
                 for c in range(b):
-                    v = 0.0
-                    for q in range(b):
-                        v += u[q, a] * u[q, c]
-                    factor[k + 1, a, c] -= v
-                for c in range(m):
-                    v = 0.0
-                    for q in range(b):
-                        v += u[q, a] * right[k, q, c]
-                    right[k + 1, a, c] -= v
-    return n
+                    v -= r[k, i, b + c] * step[k + 1, c]
+            for c in range(g):
+                v -= r[k, i, 2 * b + c] * calibration[c]
+            step[k, i] = v / r[k, i, i]
 
 
 @compiled
-def _gram(right: Floats, out: Floats) -> None:
-    """Write the sum over keyframes of rightᵀ right into `out` (R, R)."""
-    n, b, m = right.shape
-    out[:] = 0.0
-    for k in range(n):
-        for q in range(b):
-            for a in range(m):
-                va = right[k, q, a]
-                for c in range(m):
-                    out[a, c] += va * right[k, q, c]
+def _marginals(r: Floats, b: int, sigma: Floats, out: Floats) -> None:
+    """Write the keyframe marginals (K, B, B), from the last one back.
 
-
-@compiled
-def _backward(factor: Floats, upper: Floats, right: Floats) -> None:
-    """Solve the reduced system in place: right becomes H_chain⁻¹ of the original right sides."""
-    n, b, m = right.shape
-    for k in range(n - 1, -1, -1):
-        if k + 1 < n:
-            for a in range(b):
-                for c in range(m):
-                    v = 0.0
-                    for q in range(b):
-                        v += upper[k, a, q] * right[k + 1, q, c]
-                    right[k, a, c] -= v
-        _solve_upper(factor[k], right[k])
-
-
-@compiled
-def _marginals(factor: Floats, upper: Floats, solved: Floats, corner: Floats, out: Floats) -> None:
-    """Write the keyframe marginals: the chain's own plus what the calibration adds.
-
-    P_k = L_k⁻ᵀ (1 + W_k P_{k+1} W_kᵀ) L_k⁻¹ with W_k = L_k⁻¹ U_k, from the last keyframe back;
-    then E_k Σ E_kᵀ with E_k = (H_chain⁻¹ border)_k and Σ the calibration covariance.
+    Keyframe k is R⁻¹(e - T y) with y = (x_{k+1}, calibration) and unit noise e, so that its
+    covariance is R⁻¹R⁻ᵀ + F P_y Fᵀ with F = -R⁻¹T; P_y is carried along.
     """
-    n, b, m = solved.shape
-    chain = np.zeros((b, b))
-    inner = np.empty((b, b))
-    for k in range(n - 1, -1, -1):
-        for a in range(b):
-            for c in range(b):
-                inner[a, c] = 1.0 if a == c else 0.0
-                if k + 1 < n:
-                    v = 0.0
-                    for p in range(b):
-                        for q in range(b):
-                            v += upper[k, a, p] * chain[p, q] * upper[k, c, q]
-                    inner[a, c] += v
-        _solve_upper(factor[k], inner)
-        for a in range(b):
-            for c in range(b):
-                chain[a, c] = inner[c, a]
-        _solve_upper(factor[k], chain)
-        for a in range(b):
-            for c in range(b):
-                v = chain[a, c]
-                for p in range(m):
-                    for q in range(m):
-                        v += solved[k, a, p] * corner[p, q] * solved[k, c, q]
-                out[k, a, c] = v
+    keyframes, g = r.shape[0], sigma.shape[0]
+    n = b + g
+    inverse = np.zeros((b, b))
+    f, cross = np.zeros((b, n)), np.zeros((b, n))
+    after = np.zeros((n, n))
+    for i in range(g):
+        for j in range(g):
+            after[b + i, b + j] = sigma[i, j]
+    for k in range(keyframes - 1, -1, -1):
+        for j in range(b):
+            for i in range(b - 1, -1, -1):
+                v = 1.0 if i == j else 0.0
+                for c in range(i + 1, b):
+                    v -= r[k, i, c] * inverse[c, j]
+                inverse[i, j] = v / r[k, i, i]
+        for i in range(b):
+            for j in range(n):
+                v = 0.0
+                for c in range(i, b):
+                    v -= inverse[i, c] * r[k, c, b + j]
+                f[i, j] = v
+        for i in range(b):
+            for j in range(n):
+                v = 0.0
+                for c in range(n):
+                    v += f[i, c] * after[c, j]
+                cross[i, j] = v
+        for i in range(b):
+            for j in range(b):
+                v = 0.0
+                for c in range(b):
+                    v += inverse[i, c] * inverse[j, c]
+                for c in range(n):
+                    v += cross[i, c] * f[j, c]
+                out[k, i, j] = v
+        for i in range(b):
+            for j in range(b):
+                after[i, j] = out[k, i, j]
+            for j in range(g):
+                after[i, b + j] = after[b + j, i] = cross[i, b + j]
+
+
+def _triangle(rows: Floats) -> Floats:
+    """Return the triangular factor of the rows' QR decomposition."""
+    return np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
 
 
 def solve(
-    system: NormalEquations, damping: float = 0.0, with_covariance: bool = False
+    system: ChainRows, damping: float = 0.0, with_covariance: bool = False
 ) -> ArrowSolution | None:
-    """Solve (H + damping·diag H) d = -b; None if the matrix is not positive definite.
+    """Return the least-squares step of all rows; None if they do not determine it.
 
-    `with_covariance` adds the marginals of keyframes and calibration (of the undamped H).
+    `damping` adds damping·diag(JᵀJ), as Levenberg and Marquardt do; `with_covariance` adds the
+    marginals of keyframes and calibration.
     """
-    width, g = system.diagonal.shape[1], system.corner.shape[0]
-    factor = system.diagonal.copy()
-    corner = system.corner.copy()
+    keyframes, b, g = system.bounds.size - 1, system.width, system.calibration
+    prior, extra = system.prior, np.zeros((keyframes, b))
     if damping > 0.0:
-        index = np.arange(width)
-        factor[:, index, index] *= 1.0 + damping
-        corner[np.arange(g), np.arange(g)] *= 1.0 + damping
-    upper = system.upper.copy()
-    right = np.concatenate([system.border, system.gradient[:, :, None]], axis=2)
-    if _forward(factor, upper, right) != factor.shape[0]:
+        by_keyframe, by_calibration = system.squared_norms()
+        extra = np.sqrt(damping * by_keyframe)
+        diagonal = np.diag(np.sqrt(damping * by_calibration))
+        prior = np.concatenate([prior, np.append(diagonal, np.zeros((g, 1)), axis=1)])
+    carry = np.zeros((b + g, b + g + 1))
+    if g:
+        carry[:g, b:] = _triangle(prior)[:g]
+    triangular = np.empty((keyframes, b, 2 * b + g + 1))
+    if not _eliminate(system.rows, system.bounds, extra, b, g, carry, triangular):
         return None
-    gram = np.empty((g + 1, g + 1))
-    _gram(right, gram)
-    schur = corner - gram[:g, :g]
-    try:
-        lower = np.linalg.cholesky(schur)
-    except np.linalg.LinAlgError:
+    left = _triangle(carry[:, b:])[:g]
+    pivots = np.abs(np.diag(left))
+    if g and not np.all(pivots > SINGULAR * np.abs(left[:, :g]).max()):
         return None
-    inverse = np.linalg.inv(lower)
-    sigma = inverse.T @ inverse
-    calibration_step = -sigma @ (system.gradient_corner - gram[:g, g])
-    _backward(factor, upper, right)
-    solved = np.ascontiguousarray(right[:, :, :g])
-    step = -right[:, :, g] - solved @ calibration_step
-    if not (np.isfinite(step).all() and np.isfinite(calibration_step).all()):
+    inverse = np.linalg.inv(left[:, :g]) if g else np.zeros((0, 0))
+    calibration = np.ascontiguousarray(inverse @ left[:, g])
+    step = np.zeros((keyframes, b))
+    _substitute(triangular, b, calibration, step)
+    if not (np.isfinite(step).all() and np.isfinite(calibration).all()):
         return None
     if not with_covariance:
-        return ArrowSolution(step, calibration_step)
-    covariance = np.empty_like(system.diagonal)
-    _marginals(factor, upper, solved, sigma, covariance)
-    return ArrowSolution(step, calibration_step, covariance, sigma)
+        return ArrowSolution(step, calibration)
+    sigma = inverse @ inverse.T
+    covariance = np.empty((keyframes, b, b))
+    _marginals(triangular, b, sigma, covariance)
+    return ArrowSolution(step, calibration, covariance, sigma)

@@ -14,7 +14,7 @@ from fgloc.factors.tables import COMPONENTS, Kind, residuals
 from fgloc.smoothing.optimise import Solution
 from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.settings import Settings
-from fgloc.smoothing.trust import solve_with_trust
+from fgloc.smoothing.trust import STRAINED, solve_with_trust, strain
 
 DOWN_WEIGHTED = 0.25
 """A factor whose robust weight is below this counts as down-weighted."""
@@ -60,6 +60,14 @@ def _result(
     unused = {name: SensorCount(0, 0, sizes[name]) for name in left_out}
     ended = "converged" if solution.converged else "did NOT converge"
     cost = solution.point.cost
+    notes = [*problem.notes, *left_out.values()]
+    missed = strain(solution)
+    if missed > STRAINED:
+        notes.append(
+            f"the fixes are missed by more than their noise allows (mean cost {missed:.3g}, 0.5 "
+            "is right): their noise or clock is wrong, or this is not the best minimum; more "
+            "fixes at the start or a better nominal calibration (--robot) tell"
+        )
     return Result(
         method=method,
         drive=drive.name,
@@ -69,7 +77,7 @@ def _result(
         residuals=_residuals(problem, solution),
         counts={**_counts(problem, solution), **unused},
         convergence=f"{ended} after {solution.iterations} iterations, cost {cost:.6g}",
-        notes=(*problem.notes, *left_out.values()),
+        notes=tuple(notes),
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from fgloc.core.geometry import chain, compose
 from fgloc.core.measurements import Floats
 from fgloc.factors.tables import FactorTable, Linearised, linearise
-from fgloc.smoothing.arrow import ArrowSolution, NormalEquations, accumulate, solve
+from fgloc.smoothing.arrow import ArrowSolution, ChainRows, solve, stack
 from fgloc.smoothing.elimination import solve_with_gtsam
 from fgloc.smoothing.problem import Problem, without_loss
 from fgloc.smoothing.settings import Settings
@@ -43,13 +43,13 @@ class CalibrationPrior:
 
     mean: Floats
     """(G,)."""
-    information: Floats
-    """(G, G)."""
+    root: Floats
+    """(G, G) square-root information: rootᵀ root is the inverse covariance."""
 
     @staticmethod
     def gaussian(mean: Floats, covariance: Floats) -> CalibrationPrior:
         """Return the prior with mean (G,) and covariance (G, G)."""
-        return CalibrationPrior(mean, np.asarray(np.linalg.inv(covariance), dtype=np.float64))
+        return CalibrationPrior(mean, np.linalg.inv(np.linalg.cholesky(covariance)))
 
     @staticmethod
     def of(problem: Problem) -> CalibrationPrior:
@@ -69,8 +69,8 @@ def _evaluate(
     everything = (wheels, *tables)
     linear = tuple(linearise(t, states, u) for t in everything)
     weights = []
-    off = u - prior.mean
-    cost = 0.5 * float(off @ prior.information @ off)
+    off = prior.root @ (u - prior.mean)
+    cost = 0.5 * float(off @ off)
     for table, rows in zip(everything, linear, strict=True):
         squared = np.einsum("md,md->m", rows.residual, rows.residual)
         cost += float(np.sum(table.loss.cost(squared)))
@@ -78,30 +78,12 @@ def _evaluate(
     return Point(states, u, everything, linear, tuple(weights), cost)
 
 
-def normal_equations(prior: CalibrationPrior, point: Point) -> NormalEquations:
-    """Return the weighted normal equations at a linearisation, priors included."""
+def linear_system(prior: CalibrationPrior, point: Point) -> ChainRows:
+    """Return the weighted rows of a linearisation, the calibration prior included."""
     keyframes, width = point.states.shape
-    system = NormalEquations.zeros(keyframes, width, point.u.size)
-    for table, rows, weight in zip(point.tables, point.linear, point.weights, strict=True):
-        accumulate(
-            table.first,
-            table.pairwise,
-            weight,
-            rows.residual,
-            rows.by_first,
-            rows.by_second,
-            rows.by_calibration,
-            table.calibration.start,
-            system.diagonal,
-            system.upper,
-            system.border,
-            system.corner,
-            system.gradient,
-            system.gradient_corner,
-        )
-    system.corner[:] += prior.information
-    system.gradient_corner[:] += prior.information @ (point.u - prior.mean)
-    return system
+    rows = np.append(prior.root, -(prior.root @ (point.u - prior.mean))[:, None], axis=1)
+    linear = list(zip(point.tables, point.linear, point.weights, strict=True))
+    return stack(linear, keyframes, width, rows)
 
 
 def _step(
@@ -109,14 +91,14 @@ def _step(
 ) -> ArrowSolution | None:
     """Solve for one step with the chosen linear solver."""
     if solver == "arrow":
-        return solve(normal_equations(prior, point), damping)
-    root = np.sqrt(np.diag(prior.information))
+        return solve(linear_system(prior, point), damping)
     extra = None
     if damping > 0.0:
-        system = normal_equations(prior, point)
-        lead = np.einsum("kaa->ka", system.diagonal).ravel()
-        extra = np.sqrt(damping * np.concatenate([lead, np.diag(system.corner)]))
+        by_keyframe, by_calibration = linear_system(prior, point).squared_norms()
+        extra = np.sqrt(damping * np.concatenate([by_keyframe.ravel(), by_calibration]))
     linear = list(zip(point.tables, point.linear, point.weights, strict=True))
+    # Only the sweep's windows have a prior that is not diagonal, and they use the arrow solver.
+    root = np.diag(prior.root)
     offset = root * (point.u - prior.mean)
     keyframes, width = point.states.shape
     return solve_with_gtsam(linear, keyframes, width, (root, offset), extra)

@@ -9,7 +9,7 @@ import numpy as np
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
 from fgloc.smoothing.arrow import solve
-from fgloc.smoothing.minimise import CalibrationPrior, Point, minimise, normal_equations
+from fgloc.smoothing.minimise import CalibrationPrior, Point, linear_system, minimise
 from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.settings import Settings
 from fgloc.smoothing.sweep import reach, sweep
@@ -53,7 +53,7 @@ def optimise(problem: Problem, settings: Settings) -> Solution:
     solution = Solution(point, iterations, converged)
     if not settings.covariances:
         return solution
-    final = solve(normal_equations(CalibrationPrior.of(problem), point), 0.0, with_covariance=True)
+    final = solve(linear_system(CalibrationPrior.of(problem), point), 0.0, with_covariance=True)
     if final is None:
         raise FglocError("the smoother's system is indeterminate: a sensor's noise may be wrong")
     return replace(

@@ -10,7 +10,7 @@ from fgloc.core.geometry import between, compose
 from fgloc.core.measurements import Floats
 from fgloc.smoothing.arrow import solve
 from fgloc.smoothing.initial import dead_reckon
-from fgloc.smoothing.minimise import CalibrationPrior, minimise, normal_equations
+from fgloc.smoothing.minimise import CalibrationPrior, Point, linear_system, minimise
 from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.settings import Settings
 
@@ -20,10 +20,29 @@ ROUGH = 1e-2
 """Relative decrease at which a window of the sweep is good enough to go on."""
 BEYOND = 6.0
 """A calibration that many prior sigmas away means that the sweep lost its way."""
+TRIES = (0.0, -1.0, 1.0, -2.0, 2.0)
+"""Starting calibrations of the first window [prior sigmas of what turns the heading]."""
+TELLING = 4
+"""So many fixes tell which of them is right."""
 LOOK = 3000
 """How many keyframes a window of the sweep may add at most."""
 OVERLAP = 4
 """How many fixes of the last window the next one sees again."""
+
+
+def _turns(problem: Problem, u: Floats) -> tuple[Floats, Floats]:
+    """Return how the heading reacts along the drive: (K-1, F) to the calibration, (K-1,) to noise.
+
+    Derivatives by the F free robot parameters and noise variance, summed up from the first
+    keyframe; where a yaw sensor or gyro gives the rotation nothing is added. O(K).
+    """
+    wheels = problem.wheel_table(u)
+    free = wheels.calibration.stop
+    unknown = np.isnan(problem.turn)
+    by_calibration = np.cumsum(wheels.measurements[:, 3 + 2 * free :] * unknown[:, None], axis=0)
+    covariance = np.linalg.inv(wheels.sqrt_information)
+    variance = np.einsum("kb,kb->k", covariance[:, 2], covariance[:, 2])
+    return by_calibration, np.cumsum(variance * unknown)
 
 
 def reach(problem: Problem, u: Floats, sigma: Floats, heading: float) -> int:
@@ -31,18 +50,46 @@ def reach(problem: Problem, u: Floats, sigma: Floats, heading: float) -> int:
 
     `sigma` (G, G) is the covariance of the calibration u, `heading` the heading variance at the
     first keyframe. The limit is where the predicted heading sigma exceeds BENT: there the path
-    bends away from its linearisation. Where a yaw sensor or gyro gives the rotation nothing
-    grows. O(K).
+    bends away from its linearisation. O(K).
     """
-    wheels = problem.wheel_table(u)
-    free = wheels.calibration.stop
-    unknown = np.isnan(problem.turn)
-    by_calibration = np.cumsum(wheels.measurements[:, 3 + 2 * free :] * unknown[:, None], axis=0)
-    covariance = np.linalg.inv(wheels.sqrt_information)
-    noise = np.cumsum(np.einsum("kb,kb->k", covariance[:, 2], covariance[:, 2]) * unknown)
+    by_calibration, noise = _turns(problem, u)
+    free = by_calibration.shape[1]
     spread = np.einsum("kp,pq,kq->k", by_calibration, sigma[:free, :free], by_calibration)
     lost = np.flatnonzero(heading + noise + spread > BENT**2)
     return int(lost[0]) if lost.size else problem.states.shape[0]
+
+
+def _starts(problem: Problem, sigma: Floats) -> list[Floats]:
+    """Return calibrations (G,) to try: nominal, and others along what turns the heading most."""
+    by_calibration, _ = _turns(problem, np.zeros(sigma.shape[0]))
+    free = by_calibration.shape[1]
+    spread = np.einsum("kp,pq,kq->k", by_calibration, sigma[:free, :free], by_calibration)
+    most = by_calibration[int(np.argmax(spread))]
+    direction = np.zeros(sigma.shape[0])
+    direction[:free] = sigma[:free, :free] @ most / np.sqrt(float(spread.max()) + 1e-300)
+    return [t * direction for t in TRIES]
+
+
+def _first_window(
+    problem: Problem, settings: Settings, prior: CalibrationPrior, sigma: Floats
+) -> tuple[Point, int]:
+    """Return the best solution of the first window over several starting calibrations.
+
+    Where the heading is lost before the first fix, which turn it took is ambiguous; a few fixes
+    together tell, but each wrong answer is a local minimum of its own.
+    """
+    best: Point | None = None
+    iterations = 0
+    for u in _starts(problem, sigma):
+        states = problem.states.copy()
+        path = dead_reckon(problem.displacement(u), problem.turn)
+        states[:, :3] = compose(states[0, :3], path)
+        point, count, _ = minimise(problem, settings, states, u, False, prior)
+        iterations += count
+        if best is None or point.cost < best.cost:
+            best = point
+    assert best is not None
+    return best, iterations
 
 
 def sweep(problem: Problem, settings: Settings) -> tuple[Floats, Floats, int]:
@@ -58,7 +105,7 @@ def sweep(problem: Problem, settings: Settings) -> tuple[Floats, Floats, int]:
     prior = CalibrationPrior.of(problem)
     states, u = problem.states.copy(), prior.mean
     begin, done, iterations = 0, 1, 0
-    trusted = np.sqrt(np.diag(prior.information))
+    trusted = np.diag(prior.root)
     settings = replace(settings, solver="arrow", tolerance=ROUGH)
     sigma = problem.prior_covariance
     heading = 0.0
@@ -69,6 +116,9 @@ def sweep(problem: Problem, settings: Settings) -> tuple[Floats, Floats, int]:
         least = int(ahead[0]) + 1 if ahead.size else total
         ahead_of = problem.window(done - 1, min(max(least, done + LOOK), total))
         end = min(max(least, done - 1 + reach(ahead_of, u, sigma, heading)), total)
+        lost_at_once = done == 1 and end == least < total
+        if lost_at_once:
+            end = int(fixes[min(TELLING, fixes.size - 1)]) + 1
         window = problem.window(begin, end)
         path = dead_reckon(window.displacement(u), window.turn)
         near = done - 1 - begin
@@ -77,10 +127,13 @@ def sweep(problem: Problem, settings: Settings) -> tuple[Floats, Floats, int]:
         if begin > 0:
             window = window.with_state_prior(states[begin], 4.0 * marginals[begin - offset])
         # Plain first: a robust loss would rather give up a fix than turn the path towards it.
-        point, count, _ = minimise(window, settings, states[begin:end], u, False, prior)
+        if lost_at_once:
+            point, count = _first_window(window, settings, prior, sigma)
+        else:
+            point, count, _ = minimise(window, settings, states[begin:end], u, False, prior)
         point, more, _ = minimise(window, settings, point.states, point.u, True, prior)
         iterations += count + more
-        solution = solve(normal_equations(prior, point), 0.0, with_covariance=True)
+        solution = solve(linear_system(prior, point), 0.0, with_covariance=True)
         if solution is None or solution.covariance is None:
             break
         if np.abs(point.u * trusted).max(initial=0.0) > BEYOND:
