@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -130,18 +130,10 @@ def linearise(table: FactorTable, states: Floats, calibration: Floats) -> Linear
 
 def residuals(table: FactorTable, states: Floats, calibration: Floats) -> Floats:
     """Return the (M, d) residuals in units (not whitened) at a state."""
-    d = table.dimension
-    plain = np.broadcast_to(np.eye(d), (table.first.size, d, d))
-    copy = FactorTable(
-        table.kind,
-        table.sensor,
-        table.first,
-        table.measurements,
-        np.ascontiguousarray(plain),
-        table.calibration,
-        slot=table.slot,
-    )
-    return linearise(copy, states, calibration).residual
+    # Copies, not a broadcast view: numba would compile the loop again for a read-only array.
+    plain = np.tile(np.eye(table.dimension), (table.first.size, 1, 1))
+    unwhitened = replace(table, sqrt_information=plain)
+    return linearise(unwhitened, states, calibration).residual
 
 
 @compiled

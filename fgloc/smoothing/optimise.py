@@ -55,7 +55,10 @@ def optimise(problem: Problem, settings: Settings) -> Solution:
         return solution
     final = solve(linear_system(CalibrationPrior.of(problem), point), 0.0, with_covariance=True)
     if final is None:
-        raise FglocError("the smoother's system is indeterminate: a sensor's noise may be wrong")
+        raise FglocError(
+            "the smoother's system is indeterminate: a sensor's noise or the robot's dimensions "
+            "may be wrong by orders of magnitude"
+        )
     return replace(
         solution,
         covariance=final.covariance,
