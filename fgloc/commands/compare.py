@@ -12,7 +12,7 @@ from fgloc.experiments.compare import Step, compare
 from fgloc.experiments.fixes import parse as parse_fixes
 from fgloc.experiments.methods import resolved
 from fgloc.report.outcomes import Comparison
-from fgloc.report.progress import ProgressLines
+from fgloc.report.progress import ProgressLines, telling_of_compilation
 from fgloc.report.results_json import comparison_json, dumps
 from fgloc.report.run_files import write_run
 from fgloc.report.tables import print_comparison
@@ -43,7 +43,7 @@ def compare_with_progress(
     check_file(args.json)
     check_folder(args.out)
     fixes = None if args.fixes is None else parse_fixes(args.fixes)
-    with ProgressLines(title) as progress:
+    with ProgressLines(title) as progress, telling_of_compilation(progress.say):
 
         def tell(step: Step) -> None:
             # A line for every drive read would say little: reading is quick.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, TextIO
 
@@ -52,3 +54,33 @@ class ProgressLines:
             self._bar.update(self._task, completed=done, total=total, description=text)
         else:
             print(f"[{done}/{total}] {text}", file=self._stream, flush=True)
+
+    def say(self, text: str) -> None:
+        """Print a line that stays, above the bar where there is one."""
+        if self._bar is not None:
+            self._bar.console.print(text, markup=False)
+        else:
+            print(text, file=self._stream, flush=True)
+
+
+@contextmanager
+def telling_of_compilation(say: Callable[[str], None]) -> Iterator[None]:
+    """Say so, once, if the inner loops have to be compiled first: 20 s of silence look like a hang.
+
+    Nothing is said where they are found in the cache, as `fgloc doctor` leaves them.
+    """
+    from numba.core.event import Event, Listener, install_listener
+
+    class Once(Listener):
+        said = False
+
+        def on_start(self, event: Event) -> None:
+            if not self.said:
+                self.said = True
+                say("compiling the inner loops, about 20 s; this happens once")
+
+        def on_end(self, event: Event) -> None:
+            pass
+
+    with install_listener("numba:compile", Once()):
+        yield
