@@ -97,7 +97,7 @@ def load(folder: Path, run: str, name: str) -> Drive:
         base.driven_names,
         # Stretching is for what was counted; an angle that was read is undone from it.
         steering=None if steering is None else increments[:, count:] / stretch[:, None],
-        resolution=2.0 * math.pi / (OMNI4_COUNTS if robot == "omni4" else geometry.counts),
+        resolution=2.0 * math.pi / _steps(geometry),
     )
     poses = table[:, 1:4]
     known = finite_rows(poses, rejected, f"truth {NOT_A_NUMBER}")
@@ -113,6 +113,15 @@ def load(folder: Path, run: str, name: str) -> Drive:
         rejected=dict(rejected),
         notes=_notes(robot),
     )
+
+
+def _steps(geometry: Geometry) -> float:
+    """Return the steps of a wheel revolution that the encoder tells apart.
+
+    A set recorded in revolutions states one count a revolution, which is its unit and not its
+    resolution.
+    """
+    return OMNI4_COUNTS if geometry.counts == 1.0 else geometry.counts
 
 
 def read_metadata(file: Path) -> Geometry:
