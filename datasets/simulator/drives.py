@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 import numpy as np
 
 from fgloc.core.drive import Drive, Reference
-from fgloc.core.kinematics import WheeledBase
+from fgloc.core.kinematics import WheeledBase, prior_correlation
 from fgloc.core.measurements import Floats
 from fgloc.core.robot import WheelNoise
 from fgloc.core.trajectory import Trajectory
@@ -62,6 +62,8 @@ def true_values(model: RobotModel, spec: SimSpec) -> Floats:
     """
     base = model.robot.base
     drawn = cut_normal(generator(spec.seed, "calibration"), len(base.parameters))
+    # Correlated as the prior says, and still within 2.5 sigma.
+    drawn = np.clip(np.linalg.cholesky(prior_correlation(base.parameters)) @ drawn, -2.5, 2.5)
     values = base.nominal()
     if spec.calibration == "drawn":
         for k, p in enumerate(base.parameters):

@@ -11,6 +11,8 @@ Link = tuple[str, str, int, float]
 
 RADIUS_PRIOR = 0.03
 """Relative prior sigma of a wheel radius: tyre wear, load and pressure."""
+RADIUS_CORRELATION = 0.9
+"""Prior correlation between the radii of one robot: 2.8 % in common, 1 % each for itself."""
 TRACK_PRIOR = 0.05
 """Relative prior sigma of a geometric track or base radius: contact width of the tyres."""
 SKID_TRACK_PRIOR = 0.35
@@ -20,7 +22,9 @@ SKID_TRACK_PRIOR = 0.35
 def _radii(names: Sequence[str], radii: Sequence[float]) -> tuple[list[Parameter], list[Link]]:
     """Return one radius parameter a wheel, each linked to its wheel."""
     parameters = [
-        Parameter(f"wheel_radius.{n}", r, RADIUS_PRIOR * r, log=True)
+        Parameter(
+            f"wheel_radius.{n}", r, RADIUS_PRIOR * r, log=True, correlation=RADIUS_CORRELATION
+        )
         for n, r in zip(names, radii, strict=True)
     ]
     return parameters, [(f"wheel_radius.{n}", n, RADIUS, 1.0) for n in names]
@@ -72,8 +76,7 @@ def skid_steer(
     ]
     wheels.append(Wheel("icr", icr_x, 0.0, kind="passive"))
     parameters = [
-        Parameter("wheel_radius.left", radius, RADIUS_PRIOR * radius, log=True),
-        Parameter("wheel_radius.right", radius, RADIUS_PRIOR * radius, log=True),
+        *_radii(("left", "right"), (radius, radius))[0],
         Parameter("effective_track", track, track_prior * track, log=True),
         Parameter("icr_x", icr_x, icr_prior, scale=track / 2),
     ]
@@ -173,7 +176,13 @@ def four_wheel_steer(
     for n, (x, y), r in zip(names, positions, radii, strict=True):
         wheels.append(Wheel(n, x, y, r))
         parameters += [
-            Parameter(f"wheel_radius.{n}", r, radius_prior * r, log=True),
+            Parameter(
+                f"wheel_radius.{n}",
+                r,
+                radius_prior * r,
+                log=True,
+                correlation=RADIUS_CORRELATION,
+            ),
             Parameter(f"wheel_x.{n}", x, position_prior, scale=half),
             Parameter(f"wheel_y.{n}", y, position_prior, scale=half),
             Parameter(f"steer_offset.{n}", 0.0, steer_prior, unit="rad"),

@@ -15,6 +15,7 @@ exact on an arc of constant twist (see `fgloc.core.geometry.exp`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -67,6 +68,14 @@ class Parameter:
     """True: the solver's variable is log(value / nominal); False: (value - nominal) / scale."""
     scale: float = 1.0
     """Unit of the additive solver variable, in `unit`."""
+    correlation: float = 0.0
+    """Prior correlation with the other parameters of its family, the part of the name before the
+    dot: wheels of one make are all worn or all new, so their radii are wrong together."""
+
+    @property
+    def family(self) -> str:
+        """Return the part of the name that like parameters share, e.g. "wheel_radius"."""
+        return self.name.partition(".")[0]
 
     def to_value(self, u: float) -> float:
         """Return the physical value of the solver's variable `u`."""
@@ -86,6 +95,15 @@ class Parameter:
     def solver_sigma(self) -> float:
         """Return the prior's standard deviation in the solver's variable."""
         return self.prior_sigma / (self.nominal if self.log else self.scale)
+
+
+def prior_correlation(parameters: Sequence[Parameter]) -> Floats:
+    """Return the (P, P) prior correlation matrix of parameters: non-zero within a family only."""
+    own = np.array([p.correlation for p in parameters])
+    family = np.array([p.family for p in parameters], dtype=np.str_)
+    matrix = np.sqrt(np.outer(own, own)) * (family[:, None] == family[None, :])
+    np.fill_diagonal(matrix, 1.0)
+    return np.asarray(matrix, dtype=np.float64)
 
 
 @dataclass(frozen=True)

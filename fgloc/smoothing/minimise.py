@@ -97,9 +97,9 @@ def _step(
         by_keyframe, by_calibration = linear_system(prior, point).squared_norms()
         extra = np.sqrt(damping * np.concatenate([by_keyframe.ravel(), by_calibration]))
     linear = list(zip(point.tables, point.linear, point.weights, strict=True))
-    # Only the sweep's windows have a prior that is not diagonal, and they use the arrow solver.
-    root = np.diag(prior.root)
-    offset = root * (point.u - prior.mean)
+    # Only the sweep's windows have a prior between blocks, and they use the arrow solver.
+    root = prior.root
+    offset = root @ (point.u - prior.mean)
     keyframes, width = point.states.shape
     return solve_with_gtsam(linear, keyframes, width, (root, offset), extra)
 

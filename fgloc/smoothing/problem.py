@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fgloc.core.geometry import rotate_covariance
-from fgloc.core.kinematics import Parameter
+from fgloc.core.kinematics import Parameter, prior_correlation
 from fgloc.core.measurements import Floats, Stamps
 from fgloc.core.preintegration import Preintegrated, SplitIncrements, preintegrate
 from fgloc.core.robot import Robot
@@ -55,7 +55,8 @@ class Problem:
     @property
     def prior_covariance(self) -> Floats:
         """Return the (G, G) covariance of the calibration prior in solver variables."""
-        return np.diag([p.solver_sigma**2 for p in self.parameters])
+        sigma = np.array([p.solver_sigma for p in self.parameters])
+        return prior_correlation(self.parameters) * np.outer(sigma, sigma)
 
     def fix_keyframes(self) -> Stamps:
         """Return the sorted keyframe indices that have an absolute fix, the start included."""

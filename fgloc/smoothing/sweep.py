@@ -105,7 +105,7 @@ def sweep(problem: Problem, settings: Settings) -> tuple[Floats, Floats, int]:
     prior = CalibrationPrior.of(problem)
     states, u = problem.states.copy(), prior.mean
     begin, done, iterations = 0, 1, 0
-    trusted = np.diag(prior.root)
+    trusted = 1.0 / np.sqrt(np.diag(problem.prior_covariance))
     settings = replace(settings, solver="arrow", tolerance=ROUGH)
     sigma = problem.prior_covariance
     heading = 0.0

@@ -16,6 +16,7 @@ from fgloc.core.kinematics import (
     WheeledBase,
     X,
     body_displacement,
+    prior_correlation,
     solve3,
 )
 from fgloc.core.measurements import Floats
@@ -273,3 +274,16 @@ def test_solve3_inverts_and_tells_singular() -> None:
         assert not solve3(b @ b.T, inverse)
     assert not solve3(np.zeros((3, 3)), inverse)
     assert not solve3(np.full((3, 3), np.nan), inverse)
+
+
+def test_radii_are_wrong_together_in_the_prior_and_nothing_else_is() -> None:
+    base = bases.differential(0.1, 0.1, 0.5)
+    assert [p.name for p in base.parameters][2] == "effective_track"
+    rho = bases.RADIUS_CORRELATION
+    expected = [[1.0, rho, 0.0], [rho, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    np.testing.assert_allclose(prior_correlation(base.parameters), expected, atol=1e-15)
+    # 3 % each with correlation 0.9: the mean is known to 3 %·√0.95, half the difference to
+    # 3 %·√0.05, so that two wheels of one robot differ by about a percent.
+    covariance = 0.03**2 * np.array(expected)[:2, :2]
+    half = np.array([0.5, -0.5])
+    assert np.sqrt(half @ covariance @ half) == pytest.approx(0.03 * np.sqrt(0.05))

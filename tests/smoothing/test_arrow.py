@@ -139,7 +139,8 @@ def graph() -> Graph:
     """Return wheels, drifting yaw, drifting gyro, camera and fixes away from their minimum."""
     problem = build_problem(load_sim(SPEC), Settings())
     rng = np.random.default_rng(2)
-    sigma = np.sqrt(np.diag(problem.prior_covariance))
+    covariance = problem.prior_covariance
+    sigma = np.sqrt(np.diag(covariance))
     u = 0.3 * np.minimum(sigma, 0.1) * rng.normal(size=sigma.size)
     states = problem.states + 0.02 * rng.normal(size=problem.states.shape)
     linear = []
@@ -148,11 +149,12 @@ def graph() -> Graph:
         weight = table.loss.weight(np.einsum("md,md->m", rows.residual, rows.residual))
         linear.append((table, rows, weight))
     k, b = states.shape
-    prior = np.append(np.diag(1.0 / sigma), -(u / sigma)[:, None], axis=1)
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    prior = np.append(root, -(root @ u)[:, None], axis=1)
     system = stack(linear, k, b, prior)
     assert b > 3, "the drifting zeros must be in the state"
     assert min(float(w.min()) for _, _, w in linear) < 0.5, "some factors must be down-weighted"
-    return Graph(linear, system, (1.0 / sigma, u / sigma))
+    return Graph(linear, system, (root, root @ u))
 
 
 @pytest.mark.parametrize("damping", [0.0, 1e-4, 1.0])
@@ -194,7 +196,7 @@ def test_marginals_are_gtsams(graph: Graph) -> None:
             right = np.zeros(table.dimension)
             quadratic.add(gtsam.JacobianFactor(*arguments, right, model))
     unit = gtsam.noiseModel.Unit.Create(g)
-    quadratic.add(gtsam.JacobianFactor(k, np.diag(graph.prior[0]), border, unit))
+    quadratic.add(gtsam.JacobianFactor(k, graph.prior[0], border, unit))
     values = gtsam.VectorValues()
     for i in range(k):
         values.insert(i, zeros)

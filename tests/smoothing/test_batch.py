@@ -364,7 +364,7 @@ CONSISTENT = {
 def test_errors_are_as_large_as_the_covariance_says(query: str) -> None:
     # Drives without slip whose true calibration is drawn from its prior. The sum of n NEES of
     # k degrees of freedom is chi-square with n·k; its 95 % interval bounds the average.
-    seeds = range(1, 31)
+    seeds = range(1, 61)
     pose, calibration, names = [], [], 0
     settings = Settings()
     for seed in seeds:
