@@ -90,7 +90,9 @@ def test_a_calibrating_method_reports_its_parameters() -> None:
     # priors share that: variances are 25 (track, 5 %) and 8.55 (mean of two radii, 3 % each,
     # correlation 0.9), so the track takes 0.745 of it.
     assert track["value"] == pytest.approx(0.40 * math.exp(0.745 * 0.0953), rel=0.005)
-    assert track["observed"] is True
+    # What is left of it: 5 %·√(1 - 0.745), just over half of the prior's 5 %.
+    assert track["sigma"] == pytest.approx(track["value"] * 0.05 * math.sqrt(0.255), rel=0.01)
+    assert track["observed"] is False
 
 
 def test_a_method_that_cannot_run_is_skipped_with_its_reason() -> None:
