@@ -61,8 +61,10 @@ YAW_RESOLUTION = 0.01
 """Quantisation of the yaw [rad]."""
 YAW_SIGMA = math.hypot(0.01, YAW_RESOLUTION / math.sqrt(12.0))
 """White noise of the yaw, of the measured order, with its quantisation [rad]."""
-YAW_DRIFT = 0.004
-"""Random walk that reaches the yaw's drift of 0.01 rad in 7 s [rad/sqrt(s)]."""
+YAW_WALK = 0.0005
+"""Random walk of the yaw's zero [rad/sqrt(s)]."""
+YAW_DRIFT = 0.002
+"""Sigma of the yaw's constant drift [rad/s]: at rest it was seen to be 0.01 rad in 7 s."""
 COUNT_TO_ACCELERATION = 9.81 / 255.0
 """Acceleration of one count [m/s²]: 255 counts are about 1 g."""
 LOST = "lost IMU packet"
@@ -114,7 +116,15 @@ def load(path: Path, name: str | None = None, options: JaguarOptions | None = No
         notes.append("No valid GPS time: the drive starts at time 0.")
     wheels = _wheels(packets, stamps, rejected, path)
     sensors: list[Sensor] = [
-        Yaw("yaw", stamps[keep], packets.imu[keep, 0], YAW_SIGMA, YAW_DRIFT, YAW_RESOLUTION),
+        Yaw(
+            "yaw",
+            stamps[keep],
+            packets.imu[keep, 0],
+            YAW_SIGMA,
+            YAW_WALK,
+            YAW_RESOLUTION,
+            YAW_DRIFT,
+        ),
         Acceleration("acc", stamps[keep], packets.imu[keep, 2] * COUNT_TO_ACCELERATION),
     ]
     if packets.fixes.size:

@@ -33,6 +33,8 @@ from fgloc.datasets.simulator.models import (
 from fgloc.datasets.simulator.spec import SimSpec
 from fgloc.datasets.simulator.streams import generator
 
+DRIFT_RATE_SIGMA = 0.002
+"""What estimators are told of a yaw sensor that drifts: the sigma of its constant rate [rad/s]."""
 CUT = 2.5
 """Nothing that is drawn from a prior lies further than this many sigmas from its nominal."""
 
@@ -112,9 +114,9 @@ def measure_yaw(course: Course, model: YawModel, rng: np.random.Generator) -> Ya
     heading += model.sigma * rng.standard_normal(stamps.size)
     yaw = _quantised(geometry.wrap(heading), model.resolution)
     sigma = float(np.hypot(model.sigma, model.resolution / np.sqrt(12.0)))
-    # A constant drift is told to estimators as the walk that reaches it in ten seconds.
-    drift_sigma = float(np.hypot(model.walk, abs(model.drift) * np.sqrt(10.0)))
-    return Yaw("yaw", stamps, yaw, max(sigma, 1e-3), drift_sigma, model.resolution)
+    # Estimators are told how large a drift may be, not how large it is.
+    drift = DRIFT_RATE_SIGMA if model.drift else 0.0
+    return Yaw("yaw", stamps, yaw, max(sigma, 1e-3), model.walk, model.resolution, drift)
 
 
 def measure_gyro(course: Course, model: GyroModel, rng: np.random.Generator) -> YawRate:

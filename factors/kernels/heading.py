@@ -18,17 +18,23 @@ def yaw(
     jj: Floats,
     jg: Floats,
 ) -> None:
-    """Residual theta + zero - reading, wrapped; m = [reading].
+    """Residual theta + zero + rate·t - reading, wrapped; m = [reading, t].
 
-    The zero is state column `slot` where it drifts, or the calibration variable g[0].
+    The zero is state column `slot` where it wanders, or the first calibration variable; the rate
+    of a constant drift is the next calibration variable, where the block has one.
     """
     ji[0, 2] = 1.0
+    rate = 0
     if slot >= 0:
         zero = xi[slot]
         ji[0, slot] = 1.0
     else:
         zero = g[0]
         jg[0, 0] = 1.0
+        rate = 1
+    if g.size > rate:
+        zero += g[rate] * m[1]
+        jg[0, rate] = m[1]
     r[0] = wrap_scalar(xi[2] + zero - m[0])
 
 

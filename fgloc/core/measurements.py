@@ -89,6 +89,8 @@ class Yaw:
     """Random walk of the heading's zero [rad/sqrt(s)]."""
     resolution: float = 0.0
     """Quantisation step [rad]; 0 for a continuous signal."""
+    drift_rate_sigma: float = 0.0
+    """Standard deviation of a constant drift of the zero [rad/s], as a gyro's bias leaves it."""
 
     def __post_init__(self) -> None:
         _check(self.sensor, self.stamps_ns, {"yaw": self.yaw}, self.stamps_ns.size, ())

@@ -116,21 +116,25 @@ def _add_yaw(b: _Builder, sensor: Yaw, start: float, loss: Loss) -> None:
     if not first.size:
         return
     zero = float(reading[first[0]] - start)
-    slot, block = -1, slice(0, 0)
+    slot, variables = -1, []
     if sensor.drift_sigma > 0.0:
-        slot = b.slot(sensor.sensor, zero, FREE_HEADING, sensor.drift_sigma * np.sqrt(b.seconds()))
+        walk = sensor.drift_sigma * np.sqrt(b.seconds())
+        slot = b.slot(sensor.sensor, zero, FREE_HEADING, walk)
     else:
-        parameter = Parameter(f"{sensor.sensor}_zero", zero, FREE_HEADING, "rad")
-        block = b.block(sensor.sensor, [parameter])
+        variables.append(Parameter(f"{sensor.sensor}_zero", zero, FREE_HEADING, "rad"))
         reading = reading - zero
+    if sensor.drift_rate_sigma > 0.0:
+        rate = Parameter(f"{sensor.sensor}_drift", 0.0, sensor.drift_rate_sigma, "rad/s")
+        variables.append(rate)
+    seconds = (b.keyframes_ns - b.keyframes_ns[0]) * 1e-9
     b.tables.append(
         FactorTable(
             Kind.YAW,
             sensor.sensor,
             first.astype(np.int64),
-            np.ascontiguousarray(reading[first, None]),
+            np.stack([reading, seconds], axis=1)[first],
             diagonal(np.full((first.size, 1), sensor.sigma)),
-            block,
+            b.block(sensor.sensor, variables) if variables else slice(0, 0),
             loss,
             slot,
         )

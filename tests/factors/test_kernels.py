@@ -30,8 +30,10 @@ CASES: list[tuple[Kind, int, int, int]] = [
     (Kind.WHEEL, -1, 0, 3),
     (Kind.WHEEL, -1, 3, 12),
     (Kind.WHEEL, 3, 5, 18),
-    (Kind.YAW, -1, 1, 1),
-    (Kind.YAW, 3, 0, 1),
+    (Kind.YAW, -1, 1, 2),
+    (Kind.YAW, -1, 2, 2),
+    (Kind.YAW, 3, 0, 2),
+    (Kind.YAW, 3, 1, 2),
     (Kind.YAW_RATE, -1, 1, 2),
     (Kind.YAW_RATE, 3, 0, 2),
     (Kind.ZERO_WALK, 3, 0, 1),
@@ -192,9 +194,12 @@ def test_position_fix_is_the_mounted_point(
 def test_yaw_does_not_mind_whole_turns_but_a_gyro_does() -> None:
     none, x = np.zeros(0), np.array([0.0, 0.0, 0.1, 0.02])
     for turns in (-3, 0, 5):
-        reading = np.array([0.05 + turns * 2 * math.pi])
+        reading = np.array([0.05 + turns * 2 * math.pi, 10.0])
         r = evaluate(Kind.YAW, x, x, none, reading, 3)[0]
         assert r[0] == pytest.approx(0.07, abs=1e-12)
+        # A drift of 0.001 rad/s has moved the zero by 0.01 rad after 10 s.
+        r = evaluate(Kind.YAW, x, x, np.array([0.001]), reading, 3)[0]
+        assert r[0] == pytest.approx(0.08, abs=1e-12)
     # 7 rad in 2 s with a bias of 0.01 rad/s: the gyro counted 7.02.
     after = x + np.array([0.0, 0.0, 7.0, 0.0])
     for bias in (0.0, 0.01):

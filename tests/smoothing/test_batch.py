@@ -403,3 +403,15 @@ def test_an_hour_of_wheels_alone_tells_nothing_either(robot: str) -> None:
     for c in result.calibration:
         assert c.sigma == pytest.approx(c.prior_sigma, rel=1e-3)
         assert not c.observed
+
+
+@pytest.mark.parametrize("walk", ["&yaw_walk=0", ""])
+def test_a_constant_drift_of_the_yaw_is_found(walk: str) -> None:
+    # The simulated IMU drifts by 0.01 rad every 7 s; estimators are told sigma 0.002 rad/s.
+    drive = simulated(f"figure-eight?seed=3&duration=60&fix_every=5&fix_sigma=0.02&yaw=on{walk}")
+    result = smooth(drive)
+    (drift,) = (c for c in result.calibration if c.name == "yaw_drift")
+    assert drift.unit == "rad/s"
+    assert drift.observed
+    assert abs(drift.value - 0.01 / 7.0) < 3.0 * drift.sigma
+    assert drift.sigma < 3e-4
