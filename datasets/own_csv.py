@@ -80,6 +80,8 @@ BASES: dict[str, Callable[..., WheeledBase]] = {
     "4wis4wid": bases.four_wheel_steer,
 }
 """Constructors that the short header may name by the `kind` of what they make."""
+MOST_COLUMNS = 100_000
+"""No array is wider; a number that large in a header is damage."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,11 @@ def read_csv(path: Path, name: str | None = None) -> Drive:
     if "drive" not in header:
         return _short(header, streams, path, name or str(path), rejected)
     arrays: Arrays = {}
-    for stream, members in _streams(_shapes(header["drive"])).items():
+    try:
+        shapes = _shapes(header["drive"])
+    except FglocError as error:
+        raise FglocError(str(error), file=path, line=2) from None
+    for stream, members in _streams(shapes).items():
         found = streams.pop(stream, None)
         if found is None:
             found = Stream(np.zeros(0, np.int64), [], np.zeros(0, np.int64))
@@ -152,6 +158,13 @@ def _shapes(node: Any) -> dict[str, dict[str, Any]]:
     """Return every array description in a header, by the array's name."""
     if isinstance(node, dict):
         if isinstance(node.get("array"), str):
+            shape, dtype = node.get("shape"), node.get("dtype")
+            if (
+                dtype not in ("float64", "int64")
+                or not isinstance(shape, list)
+                or not all(isinstance(n, int) and 0 <= n < MOST_COLUMNS for n in shape[1:])
+            ):
+                raise FglocError(f"{node['array']} has no usable shape or dtype")
             return {node["array"]: node}
         node = list(node.values())
     if not isinstance(node, list):
@@ -266,7 +279,7 @@ def _base(header: dict[str, Any], path: Path) -> WheeledBase:
     arguments = dict(header["robot"]) if isinstance(header.get("robot"), dict) else {}
     kind = arguments.pop("kind", None)
     arguments.pop("name", None)
-    if kind not in BASES:
+    if not isinstance(kind, str) or kind not in BASES:
         raise FglocError(f"robot.kind is {kind!r}, known are {', '.join(BASES)}", file=path, line=2)
     signature = inspect.signature(BASES[kind])
     needed = [p.name for p in signature.parameters.values() if p.default is p.empty]
@@ -290,6 +303,7 @@ def _short(
 ) -> Drive:
     """Return the drive of a file with the short header."""
     base = _base(header, path)
+    _check_header(header, path)
     driven = len(base.driven_names)
     if "wheels" not in streams:
         raise FglocError("there are no rows 'wheels,stamp_ns,angles…'", file=path)
@@ -329,6 +343,16 @@ def _short(
         )
     except FglocError as error:
         raise FglocError(str(error), file=path) from None
+
+
+def _check_header(header: dict[str, Any], path: Path) -> None:
+    """Raise FglocError for an optional key of the short header that is not what it must be."""
+    for key in ("yaw_sigma", "gyro_density"):
+        value = header.get(key, 1.0)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise FglocError(f"{key} is {value!r}, a number is needed", file=path, line=2)
+    if not isinstance(header.get("motion"), str | None):
+        raise FglocError("motion must be a text", file=path, line=2)
 
 
 def _commas(stream: Stream) -> int:

@@ -10,13 +10,17 @@ UTF-8 JSON as bytes, `{"format": "fgloc-drive", "version": 1, "drive": …}`. In
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
+import math
+import types
 import zipfile
 import zlib
+from collections import abc
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -147,4 +151,39 @@ def _decode(node: Any, arrays: Arrays) -> Any:
     if node.get("type") not in CLASSES:
         raise FglocError(f"there is no class {node.get('type')!r}")
     fields = {k: _decode(v, arrays) for k, v in node.items() if k != "type"}
+    hints = _hints(node["type"])
+    for key, value in fields.items():
+        if not _fits(value, hints.get(key, object)):
+            raise FglocError(f"{node['type']}: {key} cannot be {str(value)[:40]!r}")
     return CLASSES[node["type"]](**fields)
+
+
+@functools.cache
+def _hints(name: str) -> dict[str, Any]:
+    """Return the types of a class's fields."""
+    return get_type_hints(CLASSES[name])
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    """Return True if a decoded value is of a field's type; numbers must be finite."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        return any(_fits(value, one) for one in inner)
+    if origin is Literal:
+        return value in inner
+    if origin is np.ndarray:
+        return isinstance(value, np.ndarray) and value.dtype == get_args(inner[1])[0]
+    if origin is tuple:
+        if not isinstance(value, tuple):
+            return False
+        if inner[-1] is Ellipsis:
+            inner = inner[:1] * len(value)
+        return len(value) == len(inner) and all(map(_fits, value, inner))
+    if origin is abc.Mapping:
+        return isinstance(value, dict) and all(_fits(v, inner[1]) for v in value.values())
+    if hint is float:
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        return number and math.isfinite(value)
+    if hint is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    return not isinstance(hint, type) or isinstance(value, hint)

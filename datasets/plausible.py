@@ -29,6 +29,8 @@ FASTEST_RAD_S = 20.0
 """None turns faster, in the middle over its turning intervals [rad/s]."""
 SHORTEST_NS, LONGEST_NS = 200_000, 60_000_000_000
 """Bounds of the median time between encoder stamps: 5 kHz and one a minute [ns]."""
+LEAP_S = 86_400.0
+"""No drive pauses for longer [s]."""
 FACTOR = 20.0
 """Two measurements of the same motion that differ by more are not in the same unit."""
 LITTLE_M, LITTLE_RAD = 0.5, 1.0
@@ -64,7 +66,18 @@ def _problems(drive: Drive) -> Iterator[str]:
             f"{wheels.sensor}: the stamps are {step:.3g} ns apart: are they in another unit? "
             "write whole nanoseconds"
         )
-    moved = drive.robot.base.displacements(wheels.angles, wheels.steering)
+    leap = int(np.argmax(np.diff(wheels.stamps_ns.astype(np.float64))))
+    seconds = float(wheels.stamps_ns[leap + 1]) * 1e-9 - float(wheels.stamps_ns[leap]) * 1e-9
+    if seconds > LEAP_S:
+        yield (
+            f"{wheels.sensor}: the stamps leap by {seconds:.3g} s after increment {leap}: was the "
+            "clock set during the drive? cut the recording there"
+        )
+    try:
+        moved = drive.robot.base.displacements(wheels.angles, wheels.steering)
+    except FglocError as error:
+        yield str(error)
+        return
     lengths = np.hypot(moved[:, 0], moved[:, 1])
     # From second to second: a coarse encoder's single counts look fast.
     way = np.append(0.0, np.cumsum(lengths))
@@ -150,5 +163,6 @@ def _seconds(stamps: Stamps) -> Stamps:
     """Return the indices of samples about a second apart, first and last included."""
     if stamps.size == 0:
         return np.zeros(0, np.int64)
-    due = np.arange(int(stamps[0]), int(stamps[-1]), 1_000_000_000)
-    return np.unique(np.append(np.searchsorted(stamps, due), stamps.size - 1)).astype(np.int64)
+    # The first sample of each second, without a list of all seconds: a clock may leap by decades.
+    _, first = np.unique(stamps // 1_000_000_000, return_index=True)
+    return np.unique(np.append(first, stamps.size - 1)).astype(np.int64)

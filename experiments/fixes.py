@@ -17,6 +17,8 @@ NAME = "fixes"
 """Name of the stream in tables and results."""
 SHORTEST_NS = 1_000_000
 """Shortest time between fixes [ns]; below it, billions of due times would fill the memory."""
+MOST = 10_000_000
+"""So many fixes and no more."""
 DEFAULT_SIGMA_M = 0.01
 """Standard deviation of a fix along x and along y [m] where none is given."""
 
@@ -76,6 +78,10 @@ def with_fixes(drive: Drive, every_s: float, sigma_m: float, seed: int) -> Drive
     if period < SHORTEST_NS:
         raise FglocError(f"a fix every {every_s:g} s is more than any truth holds; ask for 0.001")
     count = int(float(wheels[-1] - wheels[0]) / period + 1e-9)
+    if count > MOST:
+        raise FglocError(
+            f"{drive.name} lasts {drive.duration_s:.3g} s, {spec} would be {count}; ask for fewer"
+        )
     due = wheels[0] + np.round(period * np.arange(1, count + 1)).astype(np.int64)
     late = np.minimum(np.searchsorted(truth.stamps_ns, due), len(truth) - 1)
     early = np.maximum(late - 1, 0)

@@ -37,6 +37,8 @@ DRIFT_RATE_SIGMA = 0.002
 """What estimators are told of a yaw sensor that drifts: the sigma of its constant rate [rad/s]."""
 CUT = 2.5
 """Nothing that is drawn from a prior lies further than this many sigmas from its nominal."""
+FLOOR = 1e-6
+"""What a perfect sensor states as its noise [its unit]: zero would be infinite weight."""
 
 
 def cut_normal(rng: np.random.Generator, size: int) -> Floats:
@@ -132,7 +134,8 @@ def measure_gyro(course: Course, model: GyroModel, rng: np.random.Generator) -> 
     rate += _walk(stamps, model.bias_walk, rng)
     rate += model.density * np.sqrt(model.rate) * rng.standard_normal(stamps.size)
     quantised = _quantised(rate, model.resolution)
-    return YawRate("gyro", stamps, quantised, model.density, model.bias_sigma, model.bias_walk)
+    density = max(model.density, FLOOR)
+    return YawRate("gyro", stamps, quantised, density, model.bias_sigma, model.bias_walk)
 
 
 def measure_acceleration(
@@ -184,8 +187,8 @@ def measure_camera(
         poses[kept],
         model.position_walk,
         model.heading_walk,
-        model.position_sigma,
-        model.heading_sigma,
+        max(model.position_sigma, FLOOR),
+        max(model.heading_sigma, FLOOR),
         nominal,
         spread,
         model.scale_sigma,

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+from fgloc.core.checks import check_mount, check_noise
 from fgloc.core.measurements import Sensor, WheelIncrements
 from fgloc.core.robot import Robot
 from fgloc.core.trajectory import Trajectory
@@ -28,6 +29,14 @@ class Reference:
     """Nominal pose of the reference's frame on the robot: x, y [m], yaw [rad]."""
     mount_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Prior standard deviations of the mount [m, m, rad]; 0 means known exactly."""
+
+    def __post_init__(self) -> None:
+        # The estimators' start is tied to the truth with these sigmas.
+        check_noise(
+            self.sensor,
+            {f"sigma of {n}": s for n, s in zip(("x", "y", "heading"), self.sigma, strict=True)},
+        )
+        check_mount(self.sensor, self.mount, self.mount_sigma, 3)
 
 
 @dataclass(frozen=True)

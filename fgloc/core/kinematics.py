@@ -134,9 +134,11 @@ class WheeledBase:
             if w.kind != "passive" and not w.radius > 0.0:
                 raise FglocError(f"wheel {w.name}: radius must be positive, got {w.radius}")
         known = {p.name for p in self.parameters}
-        for name, wheel, _, _ in self.links:
+        for name, wheel, column, _ in self.links:
             if name not in known or wheel not in names:
                 raise FglocError(f"link {name} -> {wheel} names an unknown parameter or wheel")
+            if column not in (X, Y, STEER, RADIUS):
+                raise FglocError(f"link {name} -> {wheel} has no quantity {column}")
         for p in self.parameters:
             if p.log and not p.nominal > 0.0:
                 raise FglocError(f"{p.name} must be positive, got {p.nominal}")

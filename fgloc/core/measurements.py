@@ -12,35 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from fgloc.core.checks import Floats as Floats
+from fgloc.core.checks import Stamps as Stamps
+from fgloc.core.checks import check_arrays, check_mount, check_noise
 from fgloc.errors import FglocError
-
-Floats = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
-
-
-def _check(
-    sensor: str,
-    stamps: Stamps,
-    arrays: dict[str, npt.NDArray[Any]],
-    rows: int,
-    width: tuple[int, ...] | None = None,
-) -> None:
-    """Raise FglocError unless stamps strictly increase and arrays are finite with `rows` rows.
-
-    `width` is the shape of one row, () for a plain number; None leaves it to the caller.
-    """
-    if stamps.dtype != np.int64 or stamps.ndim != 1:
-        raise FglocError(f"{sensor}: stamps must be a one-dimensional int64 array of nanoseconds")
-    if stamps.size > 1 and not bool(np.all(np.diff(stamps) > 0)):
-        k = int(np.flatnonzero(np.diff(stamps) <= 0)[0]) + 1
-        raise FglocError(f"{sensor}: stamp {k} does not come after the one before it")
-    for name, values in arrays.items():
-        if values.shape[0] != rows:
-            raise FglocError(f"{sensor}: {name} has {values.shape[0]} rows, expected {rows}")
-        if width is not None and values.shape != (rows, *width):
-            raise FglocError(f"{sensor}: {name} must have shape {(rows, *width)}")
-        if not bool(np.all(np.isfinite(values))):
-            raise FglocError(f"{sensor}: {name} holds a value that is not finite")
 
 
 @dataclass(frozen=True)
@@ -67,7 +42,7 @@ class WheelIncrements:
         arrays: dict[str, npt.NDArray[Any]] = {"angles": self.angles}
         if self.steering is not None:
             arrays["steering"] = self.steering
-        _check(self.sensor, self.stamps_ns, arrays, n)
+        check_arrays(self.sensor, self.stamps_ns, arrays, n)
         for name, values in arrays.items():
             if values.shape != (n, len(self.wheels)):
                 raise FglocError(f"{self.sensor}: {name} must have shape ({n}, {len(self.wheels)})")
@@ -93,7 +68,9 @@ class Yaw:
     """Standard deviation of a constant drift of the zero [rad/s], as a gyro's bias leaves it."""
 
     def __post_init__(self) -> None:
-        _check(self.sensor, self.stamps_ns, {"yaw": self.yaw}, self.stamps_ns.size, ())
+        check_arrays(self.sensor, self.stamps_ns, {"yaw": self.yaw}, self.stamps_ns.size, ())
+        floors = {"drift_sigma": self.drift_sigma, "drift_rate_sigma": self.drift_rate_sigma}
+        check_noise(self.sensor, {"sigma": self.sigma}, floors)
 
 
 @dataclass(frozen=True)
@@ -114,7 +91,9 @@ class YawRate:
     """Random walk of the bias [rad/s/sqrt(s)]."""
 
     def __post_init__(self) -> None:
-        _check(self.sensor, self.stamps_ns, {"rate": self.rate}, self.stamps_ns.size, ())
+        check_arrays(self.sensor, self.stamps_ns, {"rate": self.rate}, self.stamps_ns.size, ())
+        walks = {"bias_sigma": self.bias_sigma, "bias_walk": self.bias_walk}
+        check_noise(self.sensor, {"density": self.density}, walks)
 
 
 @dataclass(frozen=True)
@@ -129,7 +108,9 @@ class Acceleration:
     """(N,) acceleration along body x [m/s²]."""
 
     def __post_init__(self) -> None:
-        _check(self.sensor, self.stamps_ns, {"forward": self.forward}, self.stamps_ns.size, ())
+        check_arrays(
+            self.sensor, self.stamps_ns, {"forward": self.forward}, self.stamps_ns.size, ()
+        )
 
 
 @dataclass(frozen=True)
@@ -158,7 +139,11 @@ class CameraPoses:
     """Prior standard deviation of the scale error (scale is 1 nominally)."""
 
     def __post_init__(self) -> None:
-        _check(self.sensor, self.stamps_ns, {"poses": self.poses}, self.stamps_ns.size, (3,))
+        check_arrays(self.sensor, self.stamps_ns, {"poses": self.poses}, self.stamps_ns.size, (3,))
+        white = {"position_sigma": self.position_sigma, "heading_sigma": self.heading_sigma}
+        walks = {"position_walk": self.position_walk, "heading_walk": self.heading_walk}
+        check_noise(self.sensor, white, {**walks, "scale_sigma": self.scale_sigma})
+        check_mount(self.sensor, self.mount, self.mount_sigma, 3)
 
 
 @dataclass(frozen=True)
@@ -183,9 +168,10 @@ class PositionFixes:
     def __post_init__(self) -> None:
         n = self.stamps_ns.size
         arrays = {"positions": self.positions, "sigma": self.sigma}
-        _check(self.sensor, self.stamps_ns, arrays, n, (2,))
+        check_arrays(self.sensor, self.stamps_ns, arrays, n, (2,))
         if n and not bool(np.all(self.sigma > 0.0)):
             raise FglocError(f"{self.sensor}: every sigma of a position fix must be positive")
+        check_mount(self.sensor, self.mount, self.mount_sigma, 2)
 
 
 @dataclass(frozen=True)
@@ -209,9 +195,12 @@ class PoseFixes:
 
     def __post_init__(self) -> None:
         n = self.stamps_ns.size
-        _check(self.sensor, self.stamps_ns, {"poses": self.poses, "sigma": self.sigma}, n, (3,))
+        check_arrays(
+            self.sensor, self.stamps_ns, {"poses": self.poses, "sigma": self.sigma}, n, (3,)
+        )
         if n and not bool(np.all(self.sigma > 0.0)):
             raise FglocError(f"{self.sensor}: every sigma of a pose fix must be positive")
+        check_mount(self.sensor, self.mount, self.mount_sigma, 3)
 
 
 @dataclass(frozen=True)
@@ -236,7 +225,7 @@ class Scans:
     """Prior standard deviations of the mount [m, m, rad]."""
 
     def __post_init__(self) -> None:
-        _check(self.sensor, self.stamps_ns, {"ranges": self.ranges}, self.stamps_ns.size)
+        check_arrays(self.sensor, self.stamps_ns, {"ranges": self.ranges}, self.stamps_ns.size)
 
 
 @dataclass(frozen=True)
@@ -261,7 +250,7 @@ class LandmarkSightings:
     def __post_init__(self) -> None:
         n = self.stamps_ns.size
         values = {"landmark": self.landmark, "range": self.range_m, "bearing": self.bearing}
-        _check(self.sensor, self.stamps_ns[:0], values, n, ())
+        check_arrays(self.sensor, self.stamps_ns[:0], values, n, ())
         if n > 1 and not bool(np.all(np.diff(self.stamps_ns) >= 0)):
             raise FglocError(f"{self.sensor}: stamps go back in time")
 

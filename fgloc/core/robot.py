@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
+from fgloc.core.checks import check_noise
 from fgloc.core.kinematics import WheeledBase
 
 
@@ -24,6 +25,10 @@ class WheelNoise:
     """Floor for a standing robot [m/sqrt(s)], so that no interval is certain."""
     standing_turn: float = 5e-4
     """The same floor for the heading [rad/sqrt(s)]."""
+
+    def __post_init__(self) -> None:
+        # Zeros are for simulators: without a floor, estimators find a standing interval certain.
+        check_noise("wheel noise", {}, asdict(self))
 
 
 def typical_noise(kind: str) -> WheelNoise:

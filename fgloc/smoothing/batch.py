@@ -9,6 +9,7 @@ import numpy as np
 from fgloc.core.drive import Drive
 from fgloc.core.geometry import rotate_covariance
 from fgloc.core.trajectory import Trajectory
+from fgloc.errors import FglocError
 from fgloc.estimator import CalibrationEstimate, Result, SensorCount, SensorResiduals
 from fgloc.factors.tables import COMPONENTS, Kind, residuals
 from fgloc.smoothing.optimise import Solution
@@ -18,6 +19,8 @@ from fgloc.smoothing.trust import STRAINED, solve_with_trust, strain
 
 DOWN_WEIGHTED = 0.25
 """A factor whose robust weight is below this counts as down-weighted."""
+AT_ODDS = 0.2
+"""A larger share of down-weighted factors is worth a note: sensors contradict each other."""
 HIDDEN = (Kind.ZERO_WALK, Kind.ZERO_PRIOR)
 """Tables that are a sensor's model, not its measurements."""
 
@@ -36,9 +39,17 @@ class BatchSmoother:
     def estimate(self, drive: Drive) -> Result:
         """Return keyframe poses with covariances, calibration, residuals and counts.
 
-        Raises FglocError where the drive cannot be smoothed (no overlap, undetermined wheels).
+        Raises FglocError where the drive cannot be smoothed (no overlap, undetermined wheels,
+        numbers so far apart that nothing can be computed from them).
         """
-        problem, solution, left_out = solve_with_trust(drive, self.settings)
+        try:
+            problem, solution, left_out = solve_with_trust(drive, self.settings)
+        except np.linalg.LinAlgError:
+            raise FglocError(
+                f"{drive.name} cannot be smoothed: a measurement or a sigma is off by orders of "
+                "magnitude, so that rounding errors outweigh the rest; look for leaps in the data "
+                "and for sigmas near zero"
+            ) from None
         return _result(self.method, drive, problem, solution, left_out)
 
 
@@ -68,6 +79,13 @@ def _result(
             "is right): their noise or clock is wrong, or this is not the best minimum; more "
             "fixes at the start or a better nominal calibration (--robot) tell"
         )
+    counts = _counts(problem, solution)
+    for name, c in counts.items():
+        if c.down_weighted > AT_ODDS * (c.accepted + c.down_weighted):
+            notes.append(
+                f"{c.down_weighted} of {c.accepted + c.down_weighted} factors of {name} were given "
+                "up because the others contradict them; which of them is right, only fixes tell"
+            )
     return Result(
         method=method,
         drive=drive.name,
@@ -75,7 +93,7 @@ def _result(
         sensors_used=used,
         calibration=_calibration(problem, solution),
         residuals=_residuals(problem, solution),
-        counts={**_counts(problem, solution), **unused},
+        counts={**counts, **unused},
         convergence=f"{ended} after {solution.iterations} iterations, cost {cost:.6g}",
         notes=tuple(notes),
     )

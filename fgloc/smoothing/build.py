@@ -25,10 +25,12 @@ from fgloc.smoothing.keyframes import (
     absolute_fixes,
     camera_at,
     choose_keyframes,
+    once_each,
     turned_angle,
     yaw_at,
 )
 from fgloc.smoothing.problem import Problem, diagonal
+from fgloc.smoothing.remarks import remarks
 from fgloc.smoothing.settings import Settings
 
 KNOWN = 1e-6
@@ -111,8 +113,12 @@ class _Builder:
 def _add_yaw(b: _Builder, sensor: Yaw, start: float, loss: Loss) -> None:
     """Add one factor a keyframe with the sensor's zero as a drifting or constant variable."""
     reading, valid = yaw_at(sensor, b.keyframes_ns)
-    first = np.flatnonzero(valid)
-    b.counts[sensor.sensor] = (first.size, sensor.stamps_ns.size if not first.size else 0)
+    first = once_each(sensor, b.keyframes_ns, valid)
+    outside = (sensor.stamps_ns < b.keyframes_ns[0]) | (sensor.stamps_ns > b.keyframes_ns[-1])
+    b.counts[sensor.sensor] = (
+        first.size,
+        int(outside.sum()) if first.size else sensor.stamps_ns.size,
+    )
     if not first.size:
         return
     zero = float(reading[first[0]] - start)
@@ -131,8 +137,8 @@ def _add_yaw(b: _Builder, sensor: Yaw, start: float, loss: Loss) -> None:
         FactorTable(
             Kind.YAW,
             sensor.sensor,
-            first.astype(np.int64),
-            np.stack([reading, seconds], axis=1)[first],
+            first,
+            np.ascontiguousarray(np.stack([reading, seconds], axis=1)[first]),
             diagonal(np.full((first.size, 1), sensor.sigma)),
             b.block(sensor.sensor, variables) if variables else slice(0, 0),
             loss,
@@ -151,9 +157,11 @@ def _add_yaw_rate(b: _Builder, sensor: YawRate, loss: Loss) -> None:
     seconds = b.seconds()
     slot, block = -1, slice(0, 0)
     if sensor.bias_walk > 0.0:
-        slot = b.slot(sensor.sensor, 0.0, sensor.bias_sigma, sensor.bias_walk * np.sqrt(seconds))
+        sigma = max(sensor.bias_sigma, KNOWN)
+        slot = b.slot(sensor.sensor, 0.0, sigma, sensor.bias_walk * np.sqrt(seconds))
     else:
-        parameter = Parameter(f"{sensor.sensor}_bias", 0.0, sensor.bias_sigma, "rad/s")
+        sigma = max(sensor.bias_sigma, KNOWN)
+        parameter = Parameter(f"{sensor.sensor}_bias", 0.0, sigma, "rad/s")
         block = b.block(sensor.sensor, [parameter])
     b.tables.append(
         FactorTable(
@@ -284,5 +292,5 @@ def build_problem(drive: Drive, settings: Settings) -> Problem:
         counts={"wheels": (keyframes.size - 1, 0), **builder.counts},
         wheel_loss=settings.wheel_loss if robust else PLAIN,
         turn=guess.turn,
-        notes=guess.notes,
+        notes=(*guess.notes, *remarks(drive, builder.counts)),
     )

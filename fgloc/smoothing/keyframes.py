@@ -31,7 +31,8 @@ def absolute_fixes(drive: Drive) -> tuple[PositionFixes | PoseFixes, ...]:
 def choose_keyframes(drive: Drive, period_s: float) -> Stamps:
     """Return (K,) keyframe stamps: wheel stamps about `period_s` apart and every fix stamp.
 
-    A fix gets a keyframe of its own, so that nothing has to be interpolated to it. O(N).
+    A fix gets a keyframe of its own, so that nothing has to be interpolated to it; so does a yaw
+    reading of a sensor too slow to interpolate. O(N).
     """
     stamps = drive.wheels.stamps_ns
     # 5 % slack keeps a jittering sensor of the same rate from alternating between one and two.
@@ -44,8 +45,14 @@ def choose_keyframes(drive: Drive, period_s: float) -> Stamps:
         extra = [stamps[(stamps > keep[k]) & (stamps < keep[k + 1])] for k in long]
         keep = np.concatenate([keep, *extra])
     fixes = [f.stamps_ns for f in absolute_fixes(drive)]
-    inside = [f[(f >= stamps[0]) & (f <= stamps[-1])] for f in fixes]
+    slow = [y.stamps_ns for y in drive.each(Yaw) if is_slow(y.stamps_ns)]
+    inside = [f[(f >= stamps[0]) & (f <= stamps[-1])] for f in (*fixes, *slow)]
     return np.unique(np.concatenate([keep, stamps[[0, -1]], *inside]))
+
+
+def is_slow(stamps: Stamps) -> bool:
+    """Return True if most samples are too far apart to interpolate between them."""
+    return stamps.size > 1 and float(np.median(np.diff(stamps))) > MAX_GAP_S * 1e9
 
 
 def _bracket(stamps: Stamps, at: Stamps, max_gap_s: float) -> tuple[Stamps, Floats, Mask]:
@@ -71,6 +78,21 @@ def yaw_at(sensor: Yaw, keyframes_ns: Stamps) -> tuple[Floats, Mask]:
     return readings[left] + fraction * step, valid
 
 
+def once_each(sensor: Yaw, keyframes_ns: Stamps, valid: Mask) -> Stamps:
+    """Return the indices of `valid` keyframes, only the nearest one of each reading.
+
+    Between two readings interpolation tells nothing new: a sensor slower than the keyframes would
+    count several times over.
+    """
+    at = np.flatnonzero(valid)
+    left, fraction, _ = _bracket(sensor.stamps_ns, keyframes_ns[at], MAX_GAP_S)
+    reading = left + (fraction > 0.5)
+    away = np.abs(sensor.stamps_ns[reading] - keyframes_ns[at])
+    order = np.lexsort((away, reading))
+    _, chosen = np.unique(reading[order], return_index=True)
+    return np.sort(at[order[chosen]]).astype(np.int64)
+
+
 def turned_angle(sensor: YawRate, keyframes_ns: Stamps) -> tuple[Floats, Mask]:
     """Return the (K-1,) angles a gyro turned between keyframes (trapezoid) and where it is known.
 
@@ -93,7 +115,8 @@ def turned_angle(sensor: YawRate, keyframes_ns: Stamps) -> tuple[Floats, Mask]:
         * (sensor.rate[left] + 0.5 * fraction * (sensor.rate[left + 1] - sensor.rate[left]))
     )
     angle = total[left] + inside
-    known = valid[1:] & valid[:-1] & (silent[left[1:]] == silent[left[:-1]])
+    right = np.searchsorted(stamps, keyframes_ns[1:]).clip(max=stamps.size - 1)
+    known = valid[1:] & valid[:-1] & (silent[right] == silent[left[:-1]])
     return np.diff(angle), known
 
 

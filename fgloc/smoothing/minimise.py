@@ -126,7 +126,7 @@ def roll_out(point: Point, step: ArrowSolution, wheels: FactorTable) -> Floats:
     left += rows.by_calibration @ step.calibration_step[point.tables[0].calibration]
     unwhitened = np.linalg.solve(point.tables[0].sqrt_information, left[:, :, None])[:, :, 0]
     free = wheels.calibration.stop
-    jacobian = wheels.measurements[:, 3:].reshape(-1, 3, free)
+    jacobian = wheels.measurements[:, 3:].reshape(wheels.first.size, 3, free)
     at = point.u[:free] + step.calibration_step[:free]
     displacement = wheels.measurements[:, :3] + jacobian @ at + unwhitened
     moved = point.states + step.step

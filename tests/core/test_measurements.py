@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fgloc.core.drive import Reference
 from fgloc.core.measurements import (
     CameraPoses,
     LandmarkSightings,
@@ -16,6 +17,7 @@ from fgloc.core.measurements import (
     Yaw,
     YawRate,
 )
+from fgloc.core.trajectory import Trajectory
 from fgloc.errors import FglocError
 
 
@@ -77,6 +79,30 @@ def test_fixes_need_a_positive_sigma() -> None:
     sigma[1, 2] = -1.0
     with pytest.raises(FglocError, match="map: every sigma of a pose fix must be positive"):
         PoseFixes("map", THREE, np.zeros((3, 3)), sigma)
+
+
+@pytest.mark.parametrize("bad", [0.0, -0.01, np.nan, np.inf])
+def test_noise_must_be_positive(bad: float) -> None:
+    # A sigma of zero is an infinite weight, a negative one means nothing.
+    with pytest.raises(FglocError, match="yaw: sigma must be positive and finite"):
+        Yaw("yaw", THREE, np.zeros(3), bad)
+    with pytest.raises(FglocError, match="gyro: density must be positive"):
+        YawRate("gyro", THREE, np.zeros(3), bad)
+    with pytest.raises(FglocError, match="camera: heading_sigma must be positive"):
+        CameraPoses("camera", THREE, np.zeros((3, 3)), 0.01, 0.01, heading_sigma=bad)
+    with pytest.raises(FglocError, match="truth: sigma of y must be positive"):
+        Reference(Trajectory(THREE, np.zeros((3, 3))), sigma=(0.01, bad, 0.01))
+
+
+def test_what_is_known_exactly_has_sigma_zero() -> None:
+    YawRate("gyro", THREE, np.zeros(3), 0.01, bias_sigma=0.0)
+    CameraPoses(
+        "camera", THREE, np.zeros((3, 3)), 0.0, 0.0, mount_sigma=(0.0, 0.0, 0.0), scale_sigma=0.0
+    )
+    with pytest.raises(FglocError, match="mount_sigma must be finite and not negative"):
+        PositionFixes("gps", THREE, np.zeros((3, 2)), np.ones((3, 2)), mount_sigma=(0.1, -0.1))
+    with pytest.raises(FglocError, match="must have 2 numbers"):
+        PositionFixes("gps", THREE, np.zeros((3, 2)), np.ones((3, 2)), mount=(0.1, 0.1, 0.0))  # type: ignore[arg-type]
 
 
 def test_fixes_must_have_one_column_a_coordinate() -> None:

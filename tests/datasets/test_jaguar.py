@@ -166,12 +166,14 @@ def test_damaged_lines_are_counted_not_guessed(tmp_path: Path) -> None:
         "#13,YAW,0.28,GYRO,33,6",
         "MM0 C=47",
         "garbage",
+        "MM0 C=99999999999999999999:1",
+        "MM1 C=1:" + "9" * 5000,
         gprmc(1.0).replace("4446", "4447"),
         "$GPRMC,083101.4,V,,,,,,,220126,,",
     ]
     drive = load(tmp_path, lines, end="\nMM0 C=4761:-47")
     assert drive.rejected == {
-        "unreadable line": 4,
+        "unreadable line": 6,
         "wrong GPS checksum": 1,
         "GPS without fix": 1,
         "truncated line": 1,

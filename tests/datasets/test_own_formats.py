@@ -6,6 +6,7 @@ import dataclasses
 import io
 import json
 import pickle
+import re
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -147,6 +148,10 @@ def test_a_pickle_is_refused(tmp_path: Path) -> None:
         ('"yaw.yaw"', '"yaw.none"', "yaw.none is missing"),
         ('"type": "Drive"', '"type": "Wheel"', "not valid"),
         ('"sigma": 0.01', '"sigmo": 0.01', "sigmo"),
+        ('"sigma": 0.01', '"sigma": "0.01"', "Yaw: sigma cannot be"),
+        ('"sigma": 0.01', '"sigma": NaN', "Yaw: sigma cannot be"),
+        ('"sigma": 0.01', '"sigma": null', "Yaw: sigma cannot be"),
+        ('"sigma": 0.01', '"sigma": 0', "sigma must be positive"),
     ],
 )
 def test_a_changed_header_is_refused(tmp_path: Path, old: str, new: str, what: str) -> None:
@@ -272,6 +277,46 @@ def test_csv_robots_that_do_not_exist(tmp_path: Path, robot: Any, what: str) -> 
     with pytest.raises(FglocError, match=what) as error:
         read_csv(path)
     assert error.value.line == 2
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "what"),
+    [
+        ("yaw_sigma", "abc", "yaw_sigma is 'abc', a number"),
+        ("yaw_sigma", 0.0, "yaw: sigma must be positive"),
+        ("gyro_density", {}, "gyro_density is {}"),
+        ("motion", 3, "motion must be a text"),
+        ("robot", {"kind": []}, "robot.kind is"),
+    ],
+)
+def test_csv_header_values_of_a_wrong_kind(tmp_path: Path, key: str, value: Any, what: str) -> None:
+    path = by_hand(
+        tmp_path, "wheels,0", "wheels,100,1,1", "yaw,50,0.1", "gyro,50,0.1", **{key: value}
+    )
+    with pytest.raises(FglocError, match=re.escape(what)) as error:
+        read_csv(path)
+    assert error.value.file == path
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"shape": [', '"shape": 7, "other": ['),
+        ('"dtype": "float64"', '"dtype": "object"'),
+        ('"unit": "m"', '"unit": 3'),
+        ('"nominal": 0.', '"nominal": "x", "other": 0.'),
+        ('"wheels": [', '"wheels": null, "other": ['),
+    ],
+)
+def test_a_damaged_full_csv_header_is_one_clear_error(tmp_path: Path, old: str, new: str) -> None:
+    path = tmp_path / "a.csv"
+    write_csv(whole_drive(), path)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(FglocError) as error:
+        read_csv(path)
+    assert error.value.file == path
 
 
 def test_csv_without_wheels(tmp_path: Path) -> None:

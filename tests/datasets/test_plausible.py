@@ -88,6 +88,26 @@ def test_stamps_not_in_nanoseconds_are_named(factor: float) -> None:
         check_plausible(replace(good, wheels=wheels, sensors=(), truth=None))
 
 
+def test_a_clock_that_is_set_during_the_drive_is_named() -> None:
+    # A computer without a battery clock boots in 1970 and hears of the present later.
+    good = drive()
+    now = np.where(T[300] < T, T + 1_700_000_000_000_000_000, T)
+    leapt = replace(good, wheels=replace(good.wheels, stamps_ns=now))
+    with pytest.raises(FglocError, match=r"leap by 1\.7e\+09 s after increment 300"):
+        check_plausible(leapt)
+    # Other streams may have early readings; the drive's time is that of its wheels.
+    (yaw,) = good.each(Yaw)
+    early = replace(yaw, stamps_ns=np.where(T[2] > T, T - 1_700_000_000_000_000_000, T))
+    check_plausible(replace(good, sensors=(early,)))
+
+
+def test_wheels_that_cannot_tell_the_motion_are_named_with_the_drive() -> None:
+    good = drive()
+    base = bases.differential(0.1, 0.1, 1e-200)
+    with pytest.raises(FglocError, match=r"bend: .*do not determine"):
+        check_plausible(replace(good, robot=Robot("test", base)))
+
+
 def test_standing_robot_with_noise_passes() -> None:
     """Ten minutes on the spot: gyro noise and drift, and a truth that trembles, are no motion."""
     rng = np.random.default_rng(1)
