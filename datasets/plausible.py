@@ -29,6 +29,8 @@ FASTEST_RAD_S = 20.0
 """None turns faster, in the middle over its turning intervals [rad/s]."""
 SHORTEST_NS, LONGEST_NS = 200_000, 60_000_000_000
 """Bounds of the median time between encoder stamps: 5 kHz and one a minute [ns]."""
+OVERFLOW_RAD = 1e6
+"""No wheel turns further from one stamp to the next [rad]; a wrapped 32-bit counter does."""
 LEAP_S = 86_400.0
 """No drive pauses for longer [s]."""
 FACTOR = 20.0
@@ -72,6 +74,13 @@ def _problems(drive: Drive) -> Iterator[str]:
         yield (
             f"{wheels.sensor}: the stamps leap by {seconds:.3g} s after increment {leap}: was the "
             "clock set during the drive? cut the recording there"
+        )
+    row = int(np.argmax(np.abs(wheels.angles).max(axis=1)))
+    turned_most = float(np.abs(wheels.angles[row]).max())
+    if turned_most > OVERFLOW_RAD:
+        yield (
+            f"{wheels.sensor}: increment {row} turns a wheel by {turned_most:.3g} rad: did a "
+            "counter overflow? undo the wrap or leave that row out"
         )
     try:
         moved = drive.robot.base.displacements(wheels.angles, wheels.steering)

@@ -55,7 +55,11 @@ class SensorResiduals:
 
 @dataclass(frozen=True)
 class SensorCount:
-    """How many measurements of one sensor were used and how."""
+    """How many measurements of one sensor were used and how.
+
+    Where an estimator interpolates, one counts for each pose (yaw) or interval between poses
+    (wheels, gyro, camera) that the sensor tells something of, not for each sample.
+    """
 
     accepted: int
     """Used with (nearly) full weight."""

@@ -7,11 +7,9 @@ import importlib.metadata
 import json
 import os
 import platform
-import resource
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -40,8 +38,6 @@ OPTIONAL = {
     "pymoo": "pymoo",
 }
 """The same for the extras that add a feature."""
-STACK_BYTES = 512 << 20
-"""Stack that the estimators ask for: eliminating a long chain of poses recurses deeply."""
 TIMEOUT_S = 120
 """Time after which a check counts as hung."""
 
@@ -113,7 +109,6 @@ def examine(data: Path | None = None) -> list[Check]:
         Check("python", sys.version_info >= (3, 11), True, platform.python_version()),
         Check("platform", True, False, platform.platform()),
         *outcomes,
-        _stack(),
         *_data(data),
     ]
 
@@ -144,24 +139,6 @@ def _probe(name: str, code: str, *, required: bool = True) -> Check:
         return Check(name, False, required, f"crashes with {known.get(number, number)}")
     said = (done.stdout if done.returncode == 0 else done.stderr).strip().splitlines()
     return Check(name, done.returncode == 0, required, said[-1] if said else "")
-
-
-def _stack() -> Check:
-    """Return whether a thread gets the stack that the estimators ask for."""
-    limit = resource.getrlimit(resource.RLIMIT_STACK)[0]
-    main = "unlimited" if limit == resource.RLIM_INFINITY else f"{limit >> 20} MB"
-    before = threading.stack_size(STACK_BYTES)
-    try:
-        thread = threading.Thread(target=lambda: None)
-        thread.start()
-        thread.join()
-    except RuntimeError as error:
-        detail = f"{STACK_BYTES >> 20} MB refused ({error}); drives of over 50,000 poses may fail"
-        return Check("thread stack", False, False, detail)
-    finally:
-        threading.stack_size(before)
-    detail = f"{STACK_BYTES >> 20} MB granted to estimators; the main thread has {main}"
-    return Check("thread stack", True, False, detail)
 
 
 def _data(data: Path | None) -> list[Check]:

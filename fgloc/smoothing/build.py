@@ -292,5 +292,6 @@ def build_problem(drive: Drive, settings: Settings) -> Problem:
         counts={"wheels": (keyframes.size - 1, 0), **builder.counts},
         wheel_loss=settings.wheel_loss if robust else PLAIN,
         turn=guess.turn,
+        turn_spread=guess.turn_spread,
         notes=(*guess.notes, *remarks(drive, builder.counts)),
     )

@@ -16,6 +16,8 @@ from fgloc.smoothing.keyframes import absolute_fixes, turned_angle, yaw_at
 ORIGIN_SIGMA = 1e-4
 """Sigma [m, rad] of a start that defines the map frame itself."""
 
+STEADY_S = 10.0
+"""A drift that is stated as a random walk may go one way all the time: as fast as it is in 10 s."""
 FEWEST = 3
 """At least so many fixes are aligned, where there are as many."""
 TELLING = 20.0
@@ -34,6 +36,8 @@ class Guess:
     """(3,) its standard deviations [m, m, rad]."""
     turn: Floats
     """(K-1,) turned angles by yaw sensor or gyro [rad]; NaN where only the wheels know."""
+    turn_spread: Floats
+    """(K-1, 2) how far they may be off: variance [rad²] that adds up, sigma [rad] of one sign."""
     notes: tuple[str, ...] = ()
     """What the user should know."""
 
@@ -45,26 +49,33 @@ def first_guess(drive: Drive, keyframes_ns: Stamps, pre: Preintegrated) -> Guess
     be wrong by half, and a heading off by radians is beyond any local optimiser.
     """
     turn = np.full(keyframes_ns.size - 1, np.nan)
+    spread = np.zeros((turn.size, 2))
+    seconds = np.diff(keyframes_ns) * 1e-9
     for gyro in drive.each(YawRate)[:1]:
         angle, known = turned_angle(gyro, keyframes_ns)
         turn[known] = angle[known]
+        both = np.stack([gyro.density**2 * seconds, gyro.bias_sigma * seconds], axis=1)
+        spread[known] = both[known]
     for yaw in drive.each(Yaw)[:1]:
         reading, valid = yaw_at(yaw, keyframes_ns)
         known = valid[1:] & valid[:-1]
         turn[known] = np.diff(reading)[known]
+        steady = yaw.drift_sigma / np.sqrt(STEADY_S)
+        both = np.stack([yaw.drift_sigma**2 * seconds, steady * seconds], axis=1)
+        spread[known] = both[known]
     poses = dead_reckon(pre.displacement, turn)
     if drive.truth is not None:
         start = start_pose(drive)
         measured = compose(start, np.array(drive.truth.mount, dtype=np.float64))
-        return Guess(compose(start, poses), measured, np.array(drive.truth.sigma), turn)
+        return Guess(compose(start, poses), measured, np.array(drive.truth.sigma), turn, spread)
     fixes = absolute_fixes(drive)
     usable = sum(int(np.isin(f.stamps_ns, keyframes_ns).sum()) for f in fixes)
     if usable == 0:
-        return Guess(poses, np.zeros(3), np.full(3, ORIGIN_SIGMA), turn)
-    start, spread = _align(poses, keyframes_ns, fixes)
+        return Guess(poses, np.zeros(3), np.full(3, ORIGIN_SIGMA), turn, spread)
+    start, extent = _align(poses, keyframes_ns, fixes)
     note = "no truth to start from: the start was found by aligning dead reckoning to the fixes"
-    sigma = np.array([spread + 10.0, spread + 10.0, np.pi])
-    return Guess(compose(start, poses), start, sigma, turn, (note,))
+    sigma = np.array([extent + 10.0, extent + 10.0, np.pi])
+    return Guess(compose(start, poses), start, sigma, turn, spread, (note,))
 
 
 def dead_reckon(displacement: Floats, turn: Floats) -> Floats:

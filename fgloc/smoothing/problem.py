@@ -42,6 +42,8 @@ class Problem:
     """Loss of the wheel factors."""
     turn: Floats
     """(K-1,) angles turned between keyframes by yaw sensor or gyro, NaN where unknown."""
+    turn_spread: Floats
+    """(K-1, 2) how far they may be off: variance [rad²] that adds up, sigma [rad] of one sign."""
     notes: tuple[str, ...] = ()
     """What the user should know of how the graph was built."""
 
@@ -91,6 +93,7 @@ class Problem:
             tables=tuple(tables),
             states=self.states[begin:end],
             turn=self.turn[begin : end - 1],
+            turn_spread=self.turn_spread[begin : end - 1],
         )
 
     def with_state_prior(self, state: Floats, covariance: Floats) -> Problem:

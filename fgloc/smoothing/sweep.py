@@ -34,7 +34,7 @@ def _turns(problem: Problem, u: Floats) -> tuple[Floats, Floats]:
     """Return how the heading reacts along the drive: (K-1, F) to the calibration, (K-1,) to noise.
 
     Derivatives by the F free robot parameters and noise variance, summed up from the first
-    keyframe; where a yaw sensor or gyro gives the rotation nothing is added. O(K).
+    keyframe; where a yaw sensor or gyro gives the rotation it is that sensor's drift. O(K).
     """
     wheels = problem.wheel_table(u)
     free = wheels.calibration.stop
@@ -42,7 +42,9 @@ def _turns(problem: Problem, u: Floats) -> tuple[Floats, Floats]:
     by_calibration = np.cumsum(wheels.measurements[:, 3 + 2 * free :] * unknown[:, None], axis=0)
     covariance = np.linalg.inv(wheels.sqrt_information)
     variance = np.einsum("kb,kb->k", covariance[:, 2], covariance[:, 2])
-    return by_calibration, np.cumsum(variance * unknown)
+    walk, steady = problem.turn_spread.T
+    noise = np.cumsum(np.where(unknown, variance, walk)) + np.cumsum(steady) ** 2
+    return by_calibration, noise
 
 
 def reach(problem: Problem, u: Floats, sigma: Floats, heading: float) -> int:

@@ -101,6 +101,14 @@ def test_a_clock_that_is_set_during_the_drive_is_named() -> None:
     check_plausible(replace(good, sensors=(early,)))
 
 
+def test_a_counter_that_overflows_is_named() -> None:
+    good = drive()
+    angles = good.wheels.angles.copy()
+    angles[17, 1] = -(2.0**32) * 2 * np.pi / 4096
+    with pytest.raises(FglocError, match=r"increment 17 turns a wheel by .* overflow"):
+        check_plausible(replace(good, wheels=replace(good.wheels, angles=angles)))
+
+
 def test_wheels_that_cannot_tell_the_motion_are_named_with_the_drive() -> None:
     good = drive()
     base = bases.differential(0.1, 0.1, 1e-200)

@@ -10,13 +10,14 @@ import pytest
 from fgloc.core.drive import Drive
 from fgloc.core.measurements import Floats
 from fgloc.filters.model1 import Model1
+from fgloc.smoothing.batch import BatchSmoother
 from fgloc.smoothing.build import build_problem
 from fgloc.smoothing.minimise import minimise
 from fgloc.smoothing.optimise import optimise
 from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.settings import Settings
 
-from .drives import simulated
+from .drives import scores, simulated
 
 
 def at_truth(drive: Drive, problem: Problem) -> tuple[Floats, Floats]:
@@ -64,3 +65,16 @@ def test_the_first_guess_does_not_matter_where_there_is_one_minimum() -> None:
     one = optimise(problem, settings)
     two = optimise(replace(problem, states=elsewhere), settings)
     np.testing.assert_allclose(one.point.states, two.point.states, atol=1e-3)
+
+
+@pytest.mark.parametrize("sensor", ["yaw=on", "gyro=on"])
+def test_a_heading_that_drifts_by_turns_is_followed_by_the_fixes(sensor: str) -> None:
+    # Over 2500 s the yaw drifts by half a turn, the gyro's bias makes several: dead reckoning by
+    # them alone ends in a neighbouring minimum, a whole turn away.
+    drive = simulated(f"random?seed=1&duration=2500&rate=5&fix_every=10&{sensor}")
+    result = BatchSmoother().estimate(drive)
+    assert set(result.sensors_used) == {"wheels", sensor[:-3], "fixes"}
+    assert not result.notes
+    after = scores(result, drive)
+    assert after.ate_rmse_m < 0.1
+    assert after.ate_heading_rmse_deg < 1.0
