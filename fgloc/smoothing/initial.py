@@ -15,9 +15,6 @@ from fgloc.smoothing.keyframes import absolute_fixes, turned_angle, yaw_at
 
 ORIGIN_SIGMA = 1e-4
 """Sigma [m, rad] of a start that defines the map frame itself."""
-
-STEADY_S = 10.0
-"""A drift that is stated as a random walk may go one way all the time: as fast as it is in 10 s."""
 FEWEST = 3
 """At least so many fixes are aligned, where there are as many."""
 TELLING = 20.0
@@ -60,8 +57,8 @@ def first_guess(drive: Drive, keyframes_ns: Stamps, pre: Preintegrated) -> Guess
         reading, valid = yaw_at(yaw, keyframes_ns)
         known = valid[1:] & valid[:-1]
         turn[known] = np.diff(reading)[known]
-        steady = yaw.drift_sigma / np.sqrt(STEADY_S)
-        both = np.stack([yaw.drift_sigma**2 * seconds, steady * seconds], axis=1)
+        steady = yaw.drift_rate_sigma * seconds
+        both = np.stack([yaw.drift_sigma**2 * seconds, steady], axis=1)
         spread[known] = both[known]
     poses = dead_reckon(pre.displacement, turn)
     if drive.truth is not None:
