@@ -103,6 +103,11 @@ class Linearised:
     by_calibration: Floats
     """(M, d, G_table)."""
 
+    @property
+    def squared(self) -> Floats:
+        """Return the (M,) squared norms of the whitened residuals."""
+        return np.asarray(np.einsum("md,md->m", self.residual, self.residual))
+
 
 def linearise(table: FactorTable, states: Floats, calibration: Floats) -> Linearised:
     """Linearise all factors of a table at (K, B) states and the whole calibration vector. O(M)."""

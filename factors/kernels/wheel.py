@@ -5,21 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from fgloc.core.compiled import compiled
-from fgloc.core.geometry import Floats, wrap_scalar
+from fgloc.core.geometry import Floats, between_scalar, wrap_scalar
 
 
 @compiled
 def relative_pose(xi: Floats, xj: Floats, r: Floats, ji: Floats, jj: Floats) -> None:
     """Write xi⁻¹ ∘ xj (heading not wrapped) and its Jacobians by both retractions."""
-    c, s = np.cos(xi[2]), np.sin(xi[2])
-    dx, dy = xj[0] - xi[0], xj[1] - xi[1]
-    bx, by = c * dx + s * dy, -s * dx + c * dy
-    t = xj[2] - xi[2]
-    r[0], r[1], r[2] = bx, by, t
-    ji[0, 0], ji[0, 2] = -1.0, by
-    ji[1, 1], ji[1, 2] = -1.0, -bx
+    between_scalar(xi, xj, r)
+    ji[0, 0], ji[0, 2] = -1.0, r[1]
+    ji[1, 1], ji[1, 2] = -1.0, -r[0]
     ji[2, 2] = -1.0
-    ct, st = np.cos(t), np.sin(t)
+    ct, st = np.cos(r[2]), np.sin(r[2])
     jj[0, 0], jj[0, 1] = ct, -st
     jj[1, 0], jj[1, 1] = st, ct
     jj[2, 2] = 1.0

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fgloc.core.compiled import compiled
-from fgloc.core.geometry import arc_coefficients
+from fgloc.core.geometry import exp_jacobian_scalar
 from fgloc.core.kinematics import WheeledBase, body_displacement
 from fgloc.core.measurements import Floats, Stamps, WheelIncrements
 from fgloc.core.robot import Robot, WheelNoise
@@ -137,6 +137,7 @@ def _preintegrate(
     q = np.empty((3, 3))
     j = np.empty((3, p))
     moved = np.empty((3, 3))
+    arc = np.empty((3, 3))
     for k in range(bounds.size - 1):
         pose, cov, jac = displacement[k], covariance[k], jacobian[k]
         for m in range(bounds[k], bounds[k + 1]):
@@ -157,13 +158,14 @@ def _preintegrate(
                 return False
             _increment_covariance(rows, n, gain, xi, primitives, noise, seconds[m], q)
             # The step on the arc: pose' = pose ∘ exp(xi).
-            a, b, da, db = arc_coefficients(xi[2])
-            sx, sy = a * xi[0] - b * xi[1], b * xi[0] + a * xi[1]
-            tx, ty = da * xi[0] - db * xi[1], db * xi[0] + da * xi[1]
+            exp_jacobian_scalar(xi, arc)
+            sx = arc[0, 0] * xi[0] + arc[0, 1] * xi[1]
+            sy = arc[1, 0] * xi[0] + arc[1, 1] * xi[1]
             c, s = np.cos(pose[2]), np.sin(pose[2])
             # e = d pose' / d xi, turned into the keyframe's axes.
-            e00, e01, e02 = c * a - s * b, -c * b - s * a, c * tx - s * ty
-            e10, e11, e12 = s * a + c * b, -s * b + c * a, s * tx + c * ty
+            e00, e10 = c * arc[0, 0] - s * arc[1, 0], s * arc[0, 0] + c * arc[1, 0]
+            e01, e11 = c * arc[0, 1] - s * arc[1, 1], s * arc[0, 1] + c * arc[1, 1]
+            e02, e12 = c * arc[0, 2] - s * arc[1, 2], s * arc[0, 2] + c * arc[1, 2]
             # lever = d pose' / d pose heading.
             lx, ly = -(s * sx + c * sy), c * sx - s * sy
             for col in range(p):

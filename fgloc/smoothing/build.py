@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fgloc.core.drive import Drive
+from fgloc.core.geometry import between
 from fgloc.core.kinematics import Parameter
 from fgloc.core.measurements import (
     CameraPoses,
@@ -39,6 +40,17 @@ FREE_HEADING = np.pi
 """Prior sigma of an unknown heading [rad]."""
 
 
+def _mount_parameters(
+    name: str, nominal: tuple[float, ...], sigma: tuple[float, ...]
+) -> list[Parameter]:
+    """Return `<name>_x`, `_y` and, for a pose, `_yaw`: where a sensor sits on the robot."""
+    labels = (("_x", "m"), ("_y", "m"), ("_yaw", "rad"))
+    return [
+        Parameter(name + suffix, value, max(s, KNOWN), unit)
+        for (suffix, unit), value, s in zip(labels, nominal, sigma, strict=False)
+    ]
+
+
 class _Builder:
     """Collects calibration blocks, state columns and tables while a problem is built."""
 
@@ -65,14 +77,7 @@ class _Builder:
         """Return the columns of a mounting block, or an empty slice where it is known exactly."""
         if not any(s > 0.0 for s in sigma):
             return slice(0, 0)
-        labels = (("_x", "m"), ("_y", "m"), ("_yaw", "rad"))
-        return self.block(
-            f"{name} mount",
-            [
-                Parameter(name + suffix, value, max(s, KNOWN), unit)
-                for (suffix, unit), value, s in zip(labels, nominal, sigma, strict=False)
-            ],
-        )
+        return self.block(f"{name} mount", _mount_parameters(name, nominal, sigma))
 
     def slot(self, sensor: str, first: float, sigma: float, walk: Floats) -> int:
         """Return a new state column for a drifting zero; `walk` (K-1,) are its step sigmas."""
@@ -156,11 +161,10 @@ def _add_yaw_rate(b: _Builder, sensor: YawRate, loss: Loss) -> None:
         return
     seconds = b.seconds()
     slot, block = -1, slice(0, 0)
+    sigma = max(sensor.bias_sigma, KNOWN)
     if sensor.bias_walk > 0.0:
-        sigma = max(sensor.bias_sigma, KNOWN)
         slot = b.slot(sensor.sensor, 0.0, sigma, sensor.bias_walk * np.sqrt(seconds))
     else:
-        sigma = max(sensor.bias_sigma, KNOWN)
         parameter = Parameter(f"{sensor.sensor}_bias", 0.0, sigma, "rad/s")
         block = b.block(sensor.sensor, [parameter])
     b.tables.append(
@@ -184,20 +188,13 @@ def _add_camera(b: _Builder, sensor: CameraPoses, loss: Loss) -> None:
     b.counts[sensor.sensor] = (first.size, valid.size - 1 - first.size)
     if not first.size:
         return
-    c, s = np.cos(poses[first, 2]), np.sin(poses[first, 2])
-    step = poses[first + 1] - poses[first]
-    motion = np.stack(
-        [c * step[:, 0] + s * step[:, 1], -s * step[:, 0] + c * step[:, 1], step[:, 2]], axis=1
-    )
+    motion = between(poses[first], poses[first + 1])
     path = np.hypot(motion[:, 0], motion[:, 1])
     sigma = np.empty((first.size, 3))
     sigma[:, :2] = np.sqrt(sensor.position_walk**2 * path + sensor.position_sigma**2)[:, None]
     sigma[:, 2] = np.sqrt(sensor.heading_walk**2 * path + sensor.heading_sigma**2)
     name = sensor.sensor
-    mount = zip(
-        ("_x", "_y", "_yaw"), sensor.mount, sensor.mount_sigma, ("m", "m", "rad"), strict=True
-    )
-    parameters = [Parameter(name + n, v, max(sg, KNOWN), unit) for n, v, sg, unit in mount]
+    parameters = _mount_parameters(name, sensor.mount, sensor.mount_sigma)
     parameters.append(Parameter(f"{name}_scale", 1.0, max(sensor.scale_sigma, KNOWN), "1"))
     nominal = np.broadcast_to(np.array(sensor.mount), (first.size, 3))
     b.tables.append(

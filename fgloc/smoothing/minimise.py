@@ -72,7 +72,7 @@ def _evaluate(
     off = prior.root @ (u - prior.mean)
     cost = 0.5 * float(off @ off)
     for table, rows in zip(everything, linear, strict=True):
-        squared = np.einsum("md,md->m", rows.residual, rows.residual)
+        squared = rows.squared
         cost += float(np.sum(table.loss.cost(squared)))
         weights.append(table.loss.weight(squared))
     return Point(states, u, everything, linear, tuple(weights), cost)

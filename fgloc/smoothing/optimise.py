@@ -41,8 +41,8 @@ def optimise(problem: Problem, settings: Settings) -> Solution:
     states, u = problem.states, np.zeros(len(problem.parameters))
     iterations = 0
     if (
-        reach(problem, u, problem.prior_covariance, 0.0) < states.shape[0]
-        and problem.fix_keyframes().size > 1
+        problem.fix_keyframes().size > 1
+        and reach(problem, u, problem.prior_covariance, 0.0) < states.shape[0]
     ):
         states, u, iterations = sweep(problem, settings)
     point, more, converged = minimise(problem, settings, states, u, False)

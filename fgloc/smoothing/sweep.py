@@ -30,11 +30,12 @@ OVERLAP = 4
 """How many fixes of the last window the next one sees again."""
 
 
-def _turns(problem: Problem, u: Floats) -> tuple[Floats, Floats]:
-    """Return how the heading reacts along the drive: (K-1, F) to the calibration, (K-1,) to noise.
+def _turns(problem: Problem, u: Floats, sigma: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return how the heading is lost along the drive from its first keyframe.
 
-    Derivatives by the F free robot parameters and noise variance, summed up from the first
-    keyframe; where a yaw sensor or gyro gives the rotation it is that sensor's drift. O(K).
+    (K-1, F) derivatives by the F free robot parameters, (K-1,) variance that their covariance in
+    `sigma` (G, G) means, (K-1,) variance of noise; where a yaw sensor or gyro gives the rotation
+    only that sensor's drift counts. O(K).
     """
     wheels = problem.wheel_table(u)
     free = wheels.calibration.stop
@@ -44,7 +45,8 @@ def _turns(problem: Problem, u: Floats) -> tuple[Floats, Floats]:
     variance = np.einsum("kb,kb->k", covariance[:, 2], covariance[:, 2])
     walk, steady = problem.turn_spread.T
     noise = np.cumsum(np.where(unknown, variance, walk)) + np.cumsum(steady) ** 2
-    return by_calibration, noise
+    spread = np.einsum("kp,pq,kq->k", by_calibration, sigma[:free, :free], by_calibration)
+    return by_calibration, spread, noise
 
 
 def reach(problem: Problem, u: Floats, sigma: Floats, heading: float) -> int:
@@ -54,19 +56,15 @@ def reach(problem: Problem, u: Floats, sigma: Floats, heading: float) -> int:
     first keyframe. The limit is where the predicted heading sigma exceeds BENT: there the path
     bends away from its linearisation. O(K).
     """
-    by_calibration, noise = _turns(problem, u)
-    free = by_calibration.shape[1]
-    spread = np.einsum("kp,pq,kq->k", by_calibration, sigma[:free, :free], by_calibration)
+    _, spread, noise = _turns(problem, u, sigma)
     lost = np.flatnonzero(heading + noise + spread > BENT**2)
     return int(lost[0]) if lost.size else problem.states.shape[0]
 
 
 def _starts(problem: Problem, sigma: Floats) -> list[Floats]:
     """Return calibrations (G,) to try: nominal, and others along what turns the heading most."""
-    by_calibration, _ = _turns(problem, np.zeros(sigma.shape[0]))
-    free = by_calibration.shape[1]
-    spread = np.einsum("kp,pq,kq->k", by_calibration, sigma[:free, :free], by_calibration)
-    most = by_calibration[int(np.argmax(spread))]
+    by_calibration, spread, _ = _turns(problem, np.zeros(sigma.shape[0]), sigma)
+    most, free = by_calibration[int(np.argmax(spread))], by_calibration.shape[1]
     direction = np.zeros(sigma.shape[0])
     direction[:free] = sigma[:free, :free] @ most / np.sqrt(float(spread.max()) + 1e-300)
     return [t * direction for t in TRIES]

@@ -33,8 +33,7 @@ def strain(solution: Solution) -> float:
     cost, count = 0.0, 0
     for table, rows in zip(solution.point.tables, solution.point.linear, strict=True):
         if table.kind in ARBITERS and table.sensor != "start":
-            squared = np.einsum("md,md->m", rows.residual, rows.residual)
-            cost += float(np.sum(table.loss.cost(squared)))
+            cost += float(np.sum(table.loss.cost(rows.squared)))
             count += rows.residual.size
     return cost / max(count, 1)
 
