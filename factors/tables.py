@@ -13,6 +13,7 @@ from fgloc.core.measurements import Floats, Stamps
 from fgloc.factors.kernels.camera import camera_odometry
 from fgloc.factors.kernels.fix import pose_fix, position_fix
 from fgloc.factors.kernels.heading import yaw, yaw_rate, zero_prior, zero_walk
+from fgloc.factors.kernels.prior import state_prior
 from fgloc.factors.kernels.wheel import wheel_odometry
 from fgloc.factors.robust import PLAIN, Loss
 
@@ -28,6 +29,7 @@ class Kind(IntEnum):
     CAMERA = 5
     POSITION_FIX = 6
     POSE_FIX = 7
+    STATE_PRIOR = 8
 
 
 KERNELS: dict[Kind, Callable[..., None]] = {
@@ -39,6 +41,7 @@ KERNELS: dict[Kind, Callable[..., None]] = {
     Kind.CAMERA: camera_odometry,
     Kind.POSITION_FIX: position_fix,
     Kind.POSE_FIX: pose_fix,
+    Kind.STATE_PRIOR: state_prior,
 }
 """The kernels by kind, for tests and for single factors; the compiled loop dispatches itself."""
 
@@ -51,8 +54,9 @@ COMPONENTS: dict[Kind, tuple[str, ...]] = {
     Kind.CAMERA: ("forward [m]", "left [m]", "heading [rad]"),
     Kind.POSITION_FIX: ("x [m]", "y [m]"),
     Kind.POSE_FIX: ("x [m]", "y [m]", "heading [rad]"),
+    Kind.STATE_PRIOR: ("forward [m]", "left [m]", "heading [rad]"),
 }
-"""Residual components with units; their number is the residual's dimension."""
+"""Leading residual components with units; all of them but for STATE_PRIOR."""
 
 PAIRWISE = frozenset({Kind.WHEEL, Kind.YAW_RATE, Kind.ZERO_WALK, Kind.CAMERA})
 """Kinds that join keyframe `first` and the one after it."""
@@ -87,7 +91,7 @@ class FactorTable:
     @property
     def dimension(self) -> int:
         """Return the dimension d of the residual."""
-        return len(COMPONENTS[self.kind])
+        return int(self.sqrt_information.shape[1])
 
 
 @dataclass(frozen=True)
@@ -169,8 +173,10 @@ def _evaluate(
         camera_odometry(xi, xj, g, m, slot, r, ji, jj, jg)
     elif kind == 6:
         position_fix(xi, xj, g, m, slot, r, ji, jj, jg)
-    else:
+    elif kind == 7:
         pose_fix(xi, xj, g, m, slot, r, ji, jj, jg)
+    else:
+        state_prior(xi, xj, g, m, slot, r, ji, jj, jg)
 
 
 @compiled

@@ -168,24 +168,36 @@ def _triangularise(a: Floats, rows: int, cols: int, active: Stamps) -> None:
 
 @compiled
 def _eliminate(
-    rows: Floats, bounds: Stamps, damping: Floats, b: int, g: int, carry: Floats, r: Floats
+    rows: Floats,
+    bounds: Stamps,
+    damping: Floats,
+    b: int,
+    g: int,
+    carry: Floats,
+    r: Floats,
+    carries: Floats,
 ) -> bool:
     """Eliminate all keyframes; False if one is not determined.
 
     `damping` (K, B) are diagonal rows added to each keyframe (zeros for none); `carry`
     (b + g, b + g + 1) holds the rows on the calibration at first, and what is left of them at
-    last; `r` (K, B, 2 B + G + 1) receives the triangular rows of every keyframe.
+    last; `r` (K, B, 2 B + G + 1) receives the triangular rows of every keyframe, and `carries`
+    (K, B + G, B + G + 1), unless it is empty, what was carried to every keyframe from the ones
+    before: the square-root information filter of the chain.
     """
     keyframes = bounds.size - 1
+    keep = carries.shape[0] == keyframes
     width = 2 * b + g + 1
     most = 0
     for k in range(keyframes):
         most = max(most, bounds[k + 1] - bounds[k])
     work = np.zeros((most + 2 * b + g, width))
     active = np.empty(most + 2 * b + g, np.int64)
-    held = g
+    held = b + g
     for k in range(keyframes):
         n = 0
+        if keep:
+            carries[k] = carry
         for i in range(held):
             for c in range(b):
                 work[n, c] = carry[i, c]
@@ -316,7 +328,8 @@ def solve(
     if g:
         carry[:g, b:] = _triangle(prior)[:g]
     triangular = np.empty((keyframes, b, 2 * b + g + 1))
-    if not _eliminate(system.rows, system.bounds, extra, b, g, carry, triangular):
+    none = np.empty((0, b + g, b + g + 1))
+    if not _eliminate(system.rows, system.bounds, extra, b, g, carry, triangular, none):
         return None
     left = _triangle(carry[:, b:])[:g]
     pivots = np.abs(np.diag(left))

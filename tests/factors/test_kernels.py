@@ -43,6 +43,8 @@ CASES: list[tuple[Kind, int, int, int]] = [
     (Kind.POSITION_FIX, -1, 2, 4),
     (Kind.POSE_FIX, -1, 0, 6),
     (Kind.POSE_FIX, 3, 3, 6),
+    (Kind.STATE_PRIOR, -1, 0, 3),
+    (Kind.STATE_PRIOR, 4, 2, 7),
 ]
 """(kind, slot, size of g, size of m)."""
 
@@ -75,6 +77,8 @@ def evaluate(
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Call a kernel with fresh, zeroed outputs."""
     d, b = len(COMPONENTS[kind]), xi.size
+    if kind == Kind.STATE_PRIOR:
+        d = b + g.size
     r, ji, jj, jg = np.zeros(d), np.zeros((d, b)), np.zeros((d, b)), np.zeros((d, g.size))
     KERNELS[kind](xi, xj, g, m, slot, r, ji, jj, jg)
     return r, ji, jj, jg
@@ -92,6 +96,7 @@ def numerical(kind: Kind, function: Callable[[Floats], Floats], size: int) -> Fl
     h = 1e-3
     angular = np.array(["[rad]" in c for c in COMPONENTS[kind]])
     centre = function(np.zeros(size))
+    angular = np.append(angular, np.zeros(centre.size - angular.size, np.bool_))
     jacobian = np.empty((centre.size, size))
     for k in range(size):
         values = []
