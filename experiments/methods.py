@@ -42,6 +42,12 @@ def _batch(integrator: Integrator) -> Estimator:
     return BatchSmoother()
 
 
+def _online(integrator: Integrator) -> Estimator:
+    from fgloc.online.online import OnlineSmoother
+
+    return OnlineSmoother()
+
+
 METHODS: tuple[Method, ...] = (
     Method("model1", "wheels only, nominal parameters", _model1),
     Method("model2", "distance from wheels, heading from the yaw sensor", _model2),
@@ -49,7 +55,7 @@ METHODS: tuple[Method, ...] = (
     Method("pose-ekf", "extended Kalman filter of the pose", None),
     Method("ekf-slam", "extended Kalman filter of pose and landmarks", None),
     Method("batch", "factor graph over the whole drive, with calibration", _batch),
-    Method("online", "factor graph over a sliding window, as it would run live", None),
+    Method("online", "factor graph over a sliding window, as it would run live", _online),
 )
 
 

@@ -81,7 +81,6 @@ def preintegrate(
     kinds, rollers = base.codes()
     n, p = split.bounds.size - 1, len(base.parameters)
     out = Preintegrated(np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, p)))
-    noise: WheelNoise = robot.noise
     ok = _preintegrate(
         split.angles,
         split.steering,
@@ -92,16 +91,7 @@ def preintegrate(
         rollers,
         np.array([base.rolling_weight, base.lateral_weight]),
         base.primitive_jacobian(),
-        np.array(
-            [
-                noise.rolling,
-                noise.lateral,
-                noise.turning,
-                noise.standing,
-                noise.standing_turn,
-                split.resolution,
-            ]
-        ),
+        _noise_array(robot.noise, split.resolution),
         out.displacement,
         out.covariance,
         out.jacobian,
@@ -235,3 +225,77 @@ def _increment_covariance(
     out[0, 0] += noise[3] * noise[3] * seconds
     out[1, 1] += noise[3] * noise[3] * seconds
     out[2, 2] += noise[4] * noise[4] * seconds + noise[2] * noise[2] * abs(xi[2])
+
+
+class Integrator:
+    """The same integration one increment at a time, for one open interval."""
+
+    def __init__(self, robot: Robot, resolution: float) -> None:
+        base = robot.base
+        self._base = base
+        self._kinds, self._rollers = base.codes()
+        self._weights = np.array([base.rolling_weight, base.lateral_weight])
+        self._link = base.primitive_jacobian()
+        self._noise = _noise_array(robot.noise, resolution)
+        self._bounds = np.array([0, 1], dtype=np.int64)
+        self._displacement = np.zeros((1, 3))
+        self._covariance = np.zeros((1, 3, 3))
+        self._jacobian = np.zeros((1, 3, len(base.parameters)))
+        self._primitives = base.primitives()
+
+    @property
+    def displacement(self) -> Floats:
+        """Return the (3,) displacement since the restart, in the axes of its beginning."""
+        return self._displacement[0]
+
+    @property
+    def covariance(self) -> Floats:
+        """Return its (3, 3) covariance in the same axes."""
+        return self._covariance[0]
+
+    @property
+    def jacobian(self) -> Floats:
+        """Return its (3, P) derivative by the physical parameter values."""
+        return self._jacobian[0]
+
+    def restart(self, values: Floats) -> None:
+        """Begin a new interval at the physical parameter values (P,)."""
+        self._primitives = self._base.primitives(values)
+        for out in (self._displacement, self._covariance, self._jacobian):
+            out[:] = 0.0
+
+    def add(self, angles: Floats, steering: Floats, seconds: float) -> None:
+        """Add one increment (D,) of wheel rotation and its steering; see `preintegrate`."""
+        ok = _preintegrate(
+            angles[None],
+            steering[None],
+            np.array([seconds]),
+            self._bounds,
+            self._primitives,
+            self._kinds,
+            self._rollers,
+            self._weights,
+            self._link,
+            self._noise,
+            self._displacement,
+            self._covariance,
+            self._jacobian,
+        )
+        if not ok:
+            raise FglocError(
+                f"{self._base.kind}: these wheels do not determine the motion of the base"
+            )
+
+
+def _noise_array(noise: WheelNoise, resolution: float) -> Floats:
+    """Return the noise as the compiled integration takes it."""
+    return np.array(
+        [
+            noise.rolling,
+            noise.lateral,
+            noise.turning,
+            noise.standing,
+            noise.standing_turn,
+            resolution,
+        ]
+    )

@@ -309,6 +309,56 @@ def _triangle(rows: Floats) -> Floats:
     return np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
 
 
+@dataclass(frozen=True)
+class Elimination:
+    """A chain eliminated from its first keyframe on, with what was carried along."""
+
+    step: Floats
+    """(K, B) keyframe steps."""
+    calibration_step: Floats
+    """(G,) calibration step."""
+    carries: Floats
+    """(K, B + G, B + G + 1) rows on keyframe k and the calibration by all keyframes before it."""
+    triangular: Floats
+    """(K, B, 2 B + G + 1) triangular rows of every keyframe."""
+    left: Floats
+    """(G, G + 1) what is left for the calibration."""
+
+    def newest_root(self) -> Floats:
+        """Return the (B+G, B+G) square-root information of the last keyframe and calibration."""
+        b, g = self.step.shape[1], self.calibration_step.size
+        root = np.zeros((b + g, b + g))
+        root[:b, :b] = self.triangular[-1, :, :b]
+        root[:b, b:] = self.triangular[-1, :, 2 * b : 2 * b + g]
+        root[b:, b:] = self.left[:, :g]
+        return root
+
+
+def eliminate(system: ChainRows) -> Elimination | None:
+    """Return the least-squares step of a chain whose priors are all among its rows.
+
+    None if they do not determine it. For a sliding window, which goes on from the carries; `solve`
+    is for whole problems.
+    """
+    keyframes, b, g = system.bounds.size - 1, system.width, system.calibration
+    carry = np.zeros((b + g, b + g + 1))
+    carries = np.empty((keyframes, b + g, b + g + 1))
+    triangular = np.empty((keyframes, b, 2 * b + g + 1))
+    undamped = np.zeros((keyframes, b))
+    if not _eliminate(system.rows, system.bounds, undamped, b, g, carry, triangular, carries):
+        return None
+    left = _triangle(carry[:, b:])[:g]
+    pivots = np.abs(np.diag(left))
+    if g and not np.all(pivots > SINGULAR * np.abs(left[:, :g]).max()):
+        return None
+    calibration = np.linalg.solve(left[:, :g], left[:, g]) if g else np.zeros(0)
+    step = np.zeros((keyframes, b))
+    _substitute(triangular, b, calibration, step)
+    if not (np.isfinite(step).all() and np.isfinite(calibration).all()):
+        return None
+    return Elimination(step, calibration, carries, triangular, left)
+
+
 def solve(
     system: ChainRows, damping: float = 0.0, with_covariance: bool = False
 ) -> ArrowSolution | None:

@@ -40,7 +40,7 @@ FREE_HEADING = np.pi
 """Prior sigma of an unknown heading [rad]."""
 
 
-def _mount_parameters(
+def mount_parameters(
     name: str, nominal: tuple[float, ...], sigma: tuple[float, ...]
 ) -> list[Parameter]:
     """Return `<name>_x`, `_y` and, for a pose, `_yaw`: where a sensor sits on the robot."""
@@ -77,7 +77,7 @@ class _Builder:
         """Return the columns of a mounting block, or an empty slice where it is known exactly."""
         if not any(s > 0.0 for s in sigma):
             return slice(0, 0)
-        return self.block(f"{name} mount", _mount_parameters(name, nominal, sigma))
+        return self.block(f"{name} mount", mount_parameters(name, nominal, sigma))
 
     def slot(self, sensor: str, first: float, sigma: float, walk: Floats) -> int:
         """Return a new state column for a drifting zero; `walk` (K-1,) are its step sigmas."""
@@ -194,7 +194,7 @@ def _add_camera(b: _Builder, sensor: CameraPoses, loss: Loss) -> None:
     sigma[:, :2] = np.sqrt(sensor.position_walk**2 * path + sensor.position_sigma**2)[:, None]
     sigma[:, 2] = np.sqrt(sensor.heading_walk**2 * path + sensor.heading_sigma**2)
     name = sensor.sensor
-    parameters = _mount_parameters(name, sensor.mount, sensor.mount_sigma)
+    parameters = mount_parameters(name, sensor.mount, sensor.mount_sigma)
     parameters.append(Parameter(f"{name}_scale", 1.0, max(sensor.scale_sigma, KNOWN), "1"))
     nominal = np.broadcast_to(np.array(sensor.mount), (first.size, 3))
     b.tables.append(

@@ -1,0 +1,79 @@
+"""A recorded drive as the packets that a robot would have sent, in order of arrival."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from fgloc.core.drive import Drive
+from fgloc.core.measurements import (
+    CameraPoses,
+    Floats,
+    PoseFixes,
+    PositionFixes,
+    Sensor,
+    Yaw,
+    YawRate,
+)
+
+
+@dataclass(frozen=True)
+class Packet:
+    """One measurement as it arrives."""
+
+    stamp_ns: int
+    """When it was measured."""
+    sensor: str
+    """Name of the stream; "" for the wheels."""
+    values: Floats
+    """Wheel angles (D,), or the reading."""
+    extra: Floats | None = None
+    """Steering angles (D,) of the wheels, sigmas of a fix."""
+
+
+def _columns(sensor: Sensor) -> tuple[Floats, Floats | None] | None:
+    """Return the readings (N, d) of a stream and their sigmas; None for kinds not used online."""
+    if isinstance(sensor, Yaw):
+        return sensor.yaw[:, None], None
+    if isinstance(sensor, YawRate):
+        return sensor.rate[:, None], None
+    if isinstance(sensor, CameraPoses):
+        return sensor.poses, None
+    if isinstance(sensor, PositionFixes):
+        return sensor.positions, sensor.sigma
+    if isinstance(sensor, PoseFixes):
+        return sensor.poses, sensor.sigma
+    return None
+
+
+def packets(drive: Drive) -> Iterator[Packet]:
+    """Yield a drive's measurements sorted by stamp, the wheels' last among equal ones.
+
+    What lies before the first wheel stamp is left out: the drive has not begun.
+    """
+    wheels = drive.wheels
+    streams: list[tuple[str, Floats, Floats | None]] = []
+    stamps, source, index = [wheels.stamps_ns[1:]], [np.zeros(wheels.angles.shape[0], np.int64)], []
+    index.append(np.arange(wheels.angles.shape[0]))
+    for sensor in drive.sensors:
+        columns = _columns(sensor)
+        if columns is None:
+            continue
+        streams.append((sensor.sensor, *columns))
+        keep = np.flatnonzero(sensor.stamps_ns >= wheels.stamps_ns[0])
+        stamps.append(sensor.stamps_ns[keep])
+        source.append(np.full(keep.size, len(streams)))
+        index.append(keep)
+    when, who, where = np.concatenate(stamps), np.concatenate(source), np.concatenate(index)
+    order = np.lexsort((np.where(who == 0, len(streams) + 1, who), when))
+    for stamp, stream, k in zip(
+        when[order].tolist(), who[order].tolist(), where[order].tolist(), strict=True
+    ):
+        if stream == 0:
+            steering = None if wheels.steering is None else wheels.steering[k]
+            yield Packet(stamp, "", wheels.angles[k], steering)
+        else:
+            name, values, sigma = streams[stream - 1]
+            yield Packet(stamp, name, values[k], None if sigma is None else sigma[k])
