@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fgloc.core.drive import Reference
-from fgloc.core.kinematics import prior_correlation
 from fgloc.core.measurements import (
     CameraPoses,
     Floats,
@@ -32,8 +31,9 @@ from fgloc.online.fixes import Fix, FixTable
 from fgloc.online.layout import Layout, make_layout
 from fgloc.online.propagate import Propagation
 from fgloc.online.settings import OnlineSettings
-from fgloc.online.smoother import WindowSmoother, prior_table
+from fgloc.online.smoother import WindowSmoother, first_prior
 from fgloc.online.streams import CameraStream, GyroStream, Stream, YawStream
+from fgloc.online.trust import Trust, Verdict
 from fgloc.online.window import Window
 from fgloc.smoothing.build import FREE_HEADING, KNOWN
 
@@ -89,6 +89,8 @@ class OnlineEngine:
         self.window = Window(self.layout, self._loss(settings.wheel_loss), resolution)
         self.propagation = Propagation(self.layout, resolution)
         self.smoother = WindowSmoother(self.window, settings)
+        self.trust = Trust(self.smoother)
+        self.left_out: dict[str, str] = {}
         self.sensors = tuple(sensors)
         self.streams: dict[str, Stream] = {}
         self.fix_tables: dict[str, FixTable] = {}
@@ -110,12 +112,7 @@ class OnlineEngine:
         state[:3] = start.base
         self.now_ns = stamp_ns
         window.add_keyframe(stamp_ns, state)
-        g = len(layout.parameters)
-        sigma = np.array([p.solver_sigma for p in layout.parameters])
-        covariance = prior_correlation(layout.parameters) * np.outer(sigma, sigma)
-        root = np.zeros((layout.size, layout.size))
-        root[layout.width :, layout.width :] = np.linalg.inv(np.linalg.cholesky(covariance))
-        window.prior = prior_table(state, np.zeros(g), root)
+        window.prior = first_prior(window, state, np.zeros((layout.width, layout.width)))
         known = window.table(
             Kind.POSE_FIX, "start", (6, 3), layout.places["start"].block, PLAIN
         )
@@ -170,7 +167,9 @@ class OnlineEngine:
         What cannot be used is counted with its reason, and never raises.
         """
         tally = self.tally[sensor]
-        if not np.isfinite(values).all():
+        if sensor in self.left_out:
+            tally.reject("contradicts the others")
+        elif not np.isfinite(values).all():
             tally.reject("not finite")
         elif stamp_ns < self.window.stamp(self.window.base):
             tally.reject("older than the window")
@@ -275,6 +274,7 @@ class OnlineEngine:
         """Make a keyframe of now, and the factors that end there."""
         window = self.window
         number = window.add_keyframe(self.now_ns, self.propagation.state)
+        window.close_interval(self.smoother.calibration)
         seconds = (self.now_ns - window.stamp(number - 1)) * 1e-9
         for sensor, walk in self.walks.items():
             table = window.tables[sensor, Kind.ZERO_WALK]
@@ -290,6 +290,9 @@ class OnlineEngine:
         moved = self.propagation.displacement_covariance
         dropped = self.smoother.update(self.dirty, joint, moved)
         self.dirty = None
+        verdict = self.trust.look() if self.smoother.smoothed_whole else None
+        if verdict is not None:
+            self._leave_out(verdict)
         self._restart()
         for sensor, weights in dropped.items():
             if sensor in self.tally:
@@ -300,6 +303,11 @@ class OnlineEngine:
             oldest = self.window.stamp(self.window.base)
             for stream in self.streams.values():
                 stream.prune(oldest)
+
+    def _leave_out(self, verdict: Verdict) -> None:
+        """Do without a sensor from now on."""
+        self.streams.pop(verdict.sensor)
+        self.left_out[verdict.sensor] = verdict.reason
 
     def _restart(self) -> None:
         """Let dead reckoning go on from the keyframe solved last."""

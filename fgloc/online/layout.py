@@ -122,7 +122,7 @@ def make_layout(robot: Robot, sensors: Sequence[Sensor], reference: Reference | 
     `reference` is what the start is measured with; its mounting may be an unknown.
     """
     c = _Columns(robot)
-    places: dict[str, Place] = {}
+    places: dict[str, Place] = {"start": Place()}
     if reference is not None:
         block = c.mount(reference.sensor, reference.mount, reference.mount_sigma)
         places["start"] = Place(block)

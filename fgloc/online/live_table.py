@@ -32,6 +32,7 @@ class LiveTable:
         self.first = GrowingArray((), np.int64)
         self.measurements = GrowingArray((measurement,))
         self.sqrt_information = GrowingArray((dimension, dimension))
+        self.added = 0
         # Robust weight of each row; infinite until the row has been judged.
         self.weight = GrowingArray(())
 
@@ -43,6 +44,7 @@ class LiveTable:
         weight: float = np.inf,
     ) -> None:
         """Add a factor; usually the newest, but any place will do. Not judged yet by default."""
+        self.added += 1
         first_rows = self.first.view
         n = first_rows.size
         at = n

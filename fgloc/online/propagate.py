@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fgloc.core.geometry import compose, rotate_covariance
+from fgloc.core.geometry import compose_scalar, rotate_covariance
 from fgloc.core.measurements import Floats
 from fgloc.core.preintegration import Integrator
 from fgloc.online.layout import Layout
@@ -38,7 +38,7 @@ class Propagation:
     def state(self) -> Floats:
         """Return the (B,) state now: the pose moved on, the sensor zeros as they were."""
         moved = self._state.copy()
-        moved[:3] = compose(self._state[:3], self._integrator.displacement)
+        compose_scalar(self._state, self._integrator.displacement, moved)
         return moved
 
     @property

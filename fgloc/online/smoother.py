@@ -9,20 +9,25 @@ is linearised anew at its smoothed states, robust weights included.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fgloc.core.consistency import gate_threshold
-from fgloc.core.geometry import compose
+from fgloc.core.geometry import chain, compose
+from fgloc.core.kinematics import prior_correlation
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
 from fgloc.factors.tables import FactorTable, Kind, Linearised, linearise
 from fgloc.online.live_table import LiveTable
 from fgloc.online.settings import OnlineSettings
-from fgloc.online.window import Window
+from fgloc.online.window import HIDDEN, Window
 from fgloc.smoothing.arrow import Elimination, eliminate, stack
 from fgloc.smoothing.minimise import CalibrationPrior, Point, minimise
+from fgloc.smoothing.problem import FIXES, Problem
+from fgloc.smoothing.sweep import starting_calibrations
+from fgloc.smoothing.trust import ARBITERS, STRAINED
 
 BENT = 0.3
 """A step that turns a keyframe by more [rad] is beyond its linearisation."""
@@ -32,6 +37,16 @@ FAR = 0.5
 
 PASSES = 3
 """The whole window is linearised so often at most."""
+TELLING = 4
+"""So many fixes after the heading was lost tell which way it went."""
+LONGEST = 1000
+"""Keyframes that a window may hold while it waits for them."""
+SURE = 0.1
+"""Heading sigma [rad] up to which summing up old keyframes does no harm."""
+SELDOM = 30
+"""Keyframes of the window for each one between two passes over all of it, at least."""
+FEWEST = 2
+"""Fewer factors of fixes and cameras in the window do not tell whether it is right."""
 SETTLED = 0.3
 """A change of a robust weight that is worth another pass."""
 
@@ -67,24 +82,74 @@ class Judged:
     """(M,) normalised innovations squared."""
 
 
+@dataclass(frozen=True)
+class Trial:
+    """The window solved in another way."""
+
+    point: Point
+    """States, calibration and weights."""
+    tables: tuple[FactorTable, ...]
+    """Its factors."""
+    squared: tuple[Floats, ...]
+    """(M,) squared whitened residuals of them."""
+    calibration: Floats
+    """(G,) calibration."""
+
+
+def mean_cost(tables: Sequence[FactorTable], squared: Sequence[Floats]) -> float:
+    """Return the mean robust cost per residual component of fixes and cameras; 0 if too few.
+
+    About 0.5 where the noise models are right.
+    """
+    cost, count, rows = 0.0, 0, 0
+    for table, values in zip(tables, squared, strict=True):
+        if table.kind in ARBITERS and table.sensor != "start":
+            cost += float(np.sum(table.loss.cost(values)))
+            count += values.size * table.dimension
+            rows += values.size
+    return cost / count if rows >= FEWEST else 0.0
+
+
+def first_prior(window: Window, state: Floats, root: Floats) -> FactorTable:
+    """Return the prior of a state (B,) with square-root information (B, B), robot at nominal."""
+    layout = window.layout
+    b, parameters = layout.width, layout.parameters
+    sigma = np.array([p.solver_sigma for p in parameters])
+    covariance = prior_correlation(parameters) * np.outer(sigma, sigma)
+    whole = np.zeros((layout.size, layout.size))
+    whole[:b, :b] = root
+    whole[b:, b:] = np.linalg.inv(np.linalg.cholesky(covariance))
+    return prior_table(state, np.zeros(len(parameters)), whole)
+
+
 class WindowSmoother:
     """Keeps a window solved."""
 
     def __init__(self, window: Window, settings: OnlineSettings) -> None:
-        self._window = window
+        self.window = window
         self._settings = settings
         self._gates = {d: gate_threshold(settings.gate_probability, d) for d in (1, 2, 3)}
         self._since_whole = 0
         self.calibration = np.zeros(len(window.layout.parameters))
         self.posterior: Posterior | None = None
         self.repairs = 0
+        self.last_whole: Pass | None = None
+        self._lost = 0
+        self._fixes = 0
+        self._wait = 0
+        self._pause = 1
         self.nis: dict[str, list[float]] = {}
 
     @property
     def unsolved(self) -> int:
         """Return how many keyframes were made since the last step."""
         solved = -1 if self.posterior is None else self.posterior.number
-        return self._window.newest - solved
+        return self.window.newest - solved
+
+    @property
+    def smoothed_whole(self) -> bool:
+        """Return True if the last update went over the whole window."""
+        return self._since_whole == 0
 
     def begin(self) -> None:
         """Solve the first keyframe."""
@@ -98,11 +163,13 @@ class WindowSmoother:
         are worth is judged by them. Returns the last weights of all factors that left the window,
         by sensor.
         """
-        window, solved = self._window, self.posterior
+        window, solved = self.window, self.posterior
         assert solved is not None
         self._since_whole += window.newest - solved.number
         judging = (joint, moved, self._gates)
-        if self._since_whole < self._settings.relinearise_every and dirty is not None:
+        # A long window is linearised anew the more seldom, so that the effort stays the same.
+        often = max(self._settings.relinearise_every, len(window.stamps_ns) // SELDOM)
+        if self._since_whole < often and dirty is not None:
             forward = dirty > solved.number
             begin = solved.number if forward else max(dirty - 1, window.base)
             prior = posterior_prior(window, solved) if forward else carried_prior(window, begin)
@@ -113,13 +180,38 @@ class WindowSmoother:
                     return {}
         self._since_whole = 0
         self._whole(judging)
+        self._explore()
         return self._slide()
+
+    def _explore(self) -> None:
+        """Look for a better minimum where the fixes are missed, the more seldom the more in vain.
+
+        Until enough fixes have come since the heading was lost the window does not slide: what
+        it would be summed up to might be wrong.
+        """
+        last = self.last_whole
+        assert last is not None
+        fixes = sum(t.added for t in self.window.tables.values() if t.kind in ARBITERS)
+        self._lost = max(self._lost - max(fixes - self._fixes, 0), 0)
+        new, self._fixes = fixes > self._fixes, fixes
+        if not new or mean_cost(last.tables, last.squared) < STRAINED:
+            return
+        self._wait -= 1
+        if self._wait > 0:
+            return
+        self._repair()
+        self._whole(None)
+        if mean_cost(last.tables, last.squared) < STRAINED:
+            self._pause = 1
+        else:
+            self._pause *= 2
+        self._wait = self._pause
 
     def _step(
         self, begin: int, prior: FactorTable, forward: bool, judging: Judging | None
     ) -> Pass | None:
         """Take one step and note what the new measurements' innovations were."""
-        step, judged = run_pass(self._window, begin, prior, self.calibration, forward, judging)
+        step, judged = run_pass(self.window, begin, prior, self.calibration, forward, judging)
         for one in judged:
             count = self.nis.setdefault(one.table.sensor, [0.0, 0.0])
             count[0] += float(one.nis.sum())
@@ -128,60 +220,126 @@ class WindowSmoother:
 
     def _accept(self, step: Pass) -> None:
         """Make a step's result the window's."""
-        self.posterior = accept(self._window, step)
+        self.posterior = accept(self.window, step)
         self.calibration = step.calibration
 
     def _whole(self, judging: Judging | None) -> None:
         """Linearise the whole window anew, twice where the weights change much."""
-        window = self._window
+        window = self.window
         assert window.prior is not None
+        window.integrate_again(self.calibration)
         for _ in range(PASSES):
             step = self._step(window.base, window.prior, False, judging)
             if step is None or not trusted(step):
                 self._repair()
                 step = self._step(window.base, window.prior, False, judging)
             if step is None:
-                raise SolverError
+                raise SolverError("the window does not determine its keyframes")
             self._accept(step)
+            self.last_whole = step
             if reweight(window, step) < SETTLED:
                 break
 
     def _repair(self) -> None:
         """Look for the window's minimum with damped steps: the plain ones led too far."""
-        window = self._window
-        assert window.prior is not None
+        assert self.window.prior is not None
         self.repairs += 1
+        self._move_to(self._minimum(self.window.prior, self.window.tables.values(), True))
+
+    def _minimum(self, prior: FactorTable, live: Iterable[LiveTable], explore: bool) -> Point:
+        """Return the best minimum of the window with these factors and the wheels'.
+
+        `explore`: try other starting points where the first leads to one that misses the fixes.
+        """
+        window = self.window
         end = window.newest + 1
-        tables = [window.prior]
-        for live in window.tables.values():
-            rows = live.rows(window.base, end)
-            if rows.start < rows.stop:
-                tables.append(live.view(rows, window.base))
+        tables = [prior]
+        for table in live:
+            rows = table.rows(window.base, end)
+            if rows.start < rows.stop and table is not window.wheels:
+                tables.append(table.view(rows, window.base))
         problem = window.problem(window.base, end, tuple(tables))
         g = self.calibration.size
         free = CalibrationPrior(np.zeros(g), np.zeros((g, g)))
         best: Point | None = None
-        for plain_first in (False, True):
-            states, u = problem.states.copy(), self.calibration
-            if plain_first:
-                point, _, _ = minimise(problem, self._settings, states, u, False, free)
-                states, u = point.states, point.u
-            point, _, _ = minimise(problem, self._settings, states, u, True, free)
+        for states, u in self._starts(problem, prior, explore):
+            plain, _, _ = minimise(problem, self._settings, states, u, False, free)
+            point, _, _ = minimise(problem, self._settings, plain.states, plain.u, True, free)
             if best is None or point.cost < best.cost:
                 best = point
+            if mean_cost(point.tables, [rows.squared for rows in point.linear]) < STRAINED:
+                break
         assert best is not None
-        window.states.view[:] = best.states
-        self.calibration = best.u
-        window.wheel_weight.view[:-1] = best.weights[0]
+        return best
+
+    def _starts(
+        self, problem: Problem, prior: FactorTable, explore: bool
+    ) -> Iterator[tuple[Floats, Floats]]:
+        """Yield where to begin: as the window stands, then dead reckoning at several calibrations.
+
+        Where the heading is lost between fixes, which turn it took is ambiguous, and each wrong
+        answer a minimum of its own.
+        """
+        yield problem.states.copy(), self.calibration
+        if not explore:
+            return
+        b, n = self.window.layout.width, self.window.layout.size
+        root = prior.sqrt_information[0]
+        mean = prior.measurements[0, b:n] + prior.measurements[0, n + b :]
+        inverse = np.linalg.pinv(root)
+        sigma = (inverse @ inverse.T)[b:, b:]
+        for offset in starting_calibrations(problem, mean, sigma):
+            states = problem.states.copy()
+            states[:, :3] = chain(problem.displacement(offset), states[0, :3])
+            yield states, offset
+
+    def _move_to(self, point: Point) -> None:
+        """Make a minimum the window's point of linearisation, with its robust weights."""
+        window = self.window
+        end = window.newest + 1
+        window.states.view[:] = point.states
+        self.calibration = point.u
+        window.integrate_again(point.u)
         for live in window.tables.values():
-            for table, weights in zip(best.tables, best.weights, strict=True):
+            for table, weights in zip(point.tables, point.weights, strict=True):
                 if (table.sensor, table.kind) == (live.sensor, live.kind):
                     live.weight.view[live.rows(window.base, end)] = weights
 
+    def solve_without(self, sensor: str, prior: FactorTable) -> Trial:
+        """Solve the window from `prior` without a sensor; the window stays as it is."""
+        others = [
+            t for t in self.window.tables.values() if t.sensor != sensor or t.kind in HIDDEN
+        ]
+        point = self._minimum(prior, others, True)
+        squared = tuple(rows.squared for rows in point.linear)
+        return Trial(point, point.tables, squared, point.u)
+
+    def adopt(self, trial: Trial, sensor: str, prior: FactorTable) -> None:
+        """Make a trial's solution the window's, and forget the sensor's factors."""
+        window = self.window
+        for table in window.tables.values():
+            if table.sensor == sensor and table.kind not in HIDDEN:
+                table.retract(np.arange(len(table.first)))
+        window.prior = prior
+        self._move_to(trial.point)
+        self._whole(None)
+
+    @property
+    def _unsettled(self) -> bool:
+        """Return True while the window should not be summed up: its linearisation is poor.
+
+        That is so where fixes are to be had but the heading is not known well yet.
+        """
+        posterior = self.posterior
+        assert posterior is not None
+        fixed = any(t.kind in FIXES and t.added > 1 for t in self.window.tables.values())
+        vague = posterior.covariance[2, 2] > SURE**2
+        return fixed and (vague or self._lost > 0) and len(self.window.stamps_ns) < LONGEST
+
     def _slide(self) -> dict[str, Floats]:
         """Sum up keyframes older than the lag in a prior; return their factors' last weights."""
-        window, lag = self._window, self._settings.lag_s
-        if not np.isfinite(lag):
+        window, lag = self.window, self._settings.lag_s
+        if self._unsettled or not np.isfinite(lag):
             return {}
         oldest = window.number_at(window.stamp(window.newest) - int(lag * 1e9))
         if oldest <= window.base:
@@ -199,7 +357,7 @@ class WindowSmoother:
         With u' = u + walk, u is eliminated from the rows of the prior and of the walk; on rows,
         not on covariances, which would lose digits.
         """
-        layout = self._window.layout
+        layout = self.window.layout
         walk = self._settings.calibration_walk * np.sqrt(seconds)
         if not walk > 0.0:
             return prior
@@ -218,13 +376,19 @@ class WindowSmoother:
         return replace(prior, sqrt_information=np.ascontiguousarray(triangle)[None])
 
 
-def prior_table(mean_state: Floats, calibration: Floats, root: Floats) -> FactorTable:
-    """Return the joint prior of a window's first keyframe and the calibration."""
+def prior_table(
+    state: Floats, calibration: Floats, root: Floats, offset: Floats | None = None
+) -> FactorTable:
+    """Return the joint prior of a window's first keyframe and the calibration.
+
+    Its mean is `offset` (B+G) away from the state and calibration given.
+    """
+    offset = np.zeros(root.shape[0]) if offset is None else offset
     return FactorTable(
         Kind.STATE_PRIOR,
         "prior",
         np.zeros(1, np.int64),
-        np.concatenate([mean_state, calibration])[None],
+        np.concatenate([state, calibration, offset])[None],
         np.ascontiguousarray(root)[None],
         slice(0, calibration.size),
     )
@@ -243,9 +407,9 @@ class Pass:
     elimination: Elimination
     """Carries and triangular rows, linearised at the states before the step."""
     tables: tuple[FactorTable, ...]
-    """Factors, the wheels' first, then the prior."""
+    """Factors, the prior first."""
     live: tuple[LiveTable, ...]
-    """Where tables[2:] come from."""
+    """Where tables[1:] come from."""
     squared: tuple[Floats, ...]
     """(M,) squared whitened residuals of `tables` that the step predicts."""
     turned: float
@@ -261,24 +425,25 @@ def posterior_prior(window: Window, posterior: Posterior) -> FactorTable:
 def carried_prior(window: Window, number: int) -> FactorTable | None:
     """Return what older keyframes tell of one as a prior; None where it cannot be told.
 
-    The carried rows say S·step = right side at the point of linearisation; the mean that makes
-    the residual vanish is that point moved by S⁻¹ right side.
+    The carried rows say S·step = right side at the point of linearisation.
     """
     if number == window.base:
         return window.prior
     row = number - window.base
     carry = window.carry.view[row]
     n = carry.shape[0]
-    b = window.layout.width
     try:
         step = np.linalg.solve(carry[:, :n], carry[:, n])
     except np.linalg.LinAlgError:
         return None
     if not np.isfinite(step).all():
         return None
-    mean = window.linear_states.view[row] + step[:b]
-    mean[:3] = compose(window.linear_states.view[row][:3], step[:3])
-    return prior_table(mean, window.linear_calibration.view[row] + step[b:], carry[:, :n].copy())
+    return prior_table(
+        window.linear_states.view[row],
+        window.linear_calibration.view[row],
+        carry[:, :n].copy(),
+        step,
+    )
 
 
 def judge(
@@ -346,13 +511,11 @@ def run_pass(
             tables.append(table.view(rows, begin))
             live.append(table)
             slices.append(rows)
-    problem = window.problem(begin, end, ())
-    wheels = problem.wheel_table(calibration)
-    everything = (wheels, prior, *tables)
+    everything = (prior, *tables)
     linear = [linearise(t, states, calibration) for t in everything]
     judged: list[Judged] = []
-    weights = [window.wheel_weight.view[begin - window.base : -1], np.ones(1)]
-    for table, rows, lin in zip(live, slices, linear[2:], strict=True):
+    weights = [np.ones(1)]
+    for table, rows, lin in zip(live, slices, linear[1:], strict=True):
         if judging is not None:
             joint, moved, gates = judging
             found = judge(table, rows, lin, joint, moved, gates[lin.residual.shape[1]])
@@ -423,11 +586,8 @@ def reweight(window: Window, step: Pass) -> float:
 
     Returns the largest change of a weight.
     """
-    wheels = step.tables[0].loss.weight(step.squared[0])
-    old = window.wheel_weight.view[:-1]
-    change = float(np.abs(wheels - old).max(initial=0.0))
-    window.wheel_weight.view[:-1] = wheels
-    for live, table, squared in zip(step.live, step.tables[2:], step.squared[2:], strict=True):
+    change = 0.0
+    for live, table, squared in zip(step.live, step.tables[1:], step.squared[1:], strict=True):
         rows = live.rows(step.begin, window.newest + 1)
         weights = table.loss.weight(squared)
         change = max(change, float(np.abs(weights - live.weight.view[rows]).max(initial=0.0)))

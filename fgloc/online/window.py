@@ -19,6 +19,8 @@ from fgloc.smoothing.problem import Problem
 
 WHEELS = "wheels"
 """Name under which the wheels' factors are counted."""
+REINTEGRATE = 0.01
+"""Change of a calibration variable beyond which the wheels are integrated again."""
 HIDDEN = (Kind.ZERO_WALK, Kind.ZERO_PRIOR, Kind.STATE_PRIOR)
 """Tables that are a sensor's model, not its measurements."""
 
@@ -28,7 +30,6 @@ class Window:
 
     def __init__(self, layout: Layout, wheel_loss: Loss, resolution: float) -> None:
         self.layout = layout
-        self.wheel_loss = wheel_loss
         self.resolution = resolution
         driven = len(layout.robot.base.driven)
         n = layout.size
@@ -42,12 +43,14 @@ class Window:
         self._pieces = 0
         self._dropped = 0
         self.tables: dict[tuple[str, Kind], LiveTable] = {}
+        f = len(layout.free)
+        self.wheels = self.table(Kind.WHEEL, WHEELS, (3 + 3 * f, 3), slice(0, f), wheel_loss)
+        # The calibration at which the wheels' displacements were integrated last.
+        self._reference = np.zeros(n - layout.width)
         self.prior: FactorTable | None = None
         # What elimination carried to each keyframe (square-root information of its state and the
         # calibration by everything older), and where it was linearised.
         self.carry = GrowingArray((n, n + 1))
-        # Robust weight of the wheels' factor that begins at each keyframe.
-        self.wheel_weight = GrowingArray(())
         self.linear_states = GrowingArray((layout.width,))
         self.linear_calibration = GrowingArray((n - layout.width,))
 
@@ -84,10 +87,30 @@ class Window:
         self.states.append(state)
         self._bounds.append(self._pieces)
         self.carry.append(0.0)
-        self.wheel_weight.append(1.0)
         self.linear_states.append(state)
         self.linear_calibration.append(0.0)
         return self.newest
+
+    def close_interval(self, calibration: Floats) -> None:
+        """Make the wheels' factor between the two newest keyframes."""
+        table = self.problem(self.newest - 1, self.newest + 1, ()).wheel_table(calibration)
+        self.wheels.add(
+            self.newest - 1, table.measurements[0], table.sqrt_information[0], weight=1.0
+        )
+
+    def integrate_again(self, calibration: Floats) -> None:
+        """Integrate all wheel increments anew if the calibration has moved too far for first order.
+
+        The factors hold displacement and derivative; what is left out grows with the square of
+        the change: a hundredth of a percent of the way at REINTEGRATE.
+        """
+        if np.abs(calibration - self._reference).max(initial=0.0) < REINTEGRATE:
+            return
+        self._reference = calibration.copy()
+        if len(self.wheels.first):
+            table = self.problem(self.base, self.newest + 1, ()).wheel_table(calibration)
+            self.wheels.measurements.view[:] = table.measurements
+            self.wheels.sqrt_information.view[:] = table.sqrt_information
 
     def stamp(self, number: int) -> int:
         """Return the stamp of a live keyframe."""
@@ -133,7 +156,7 @@ class Window:
             tables=tables,
             states=self.states.view[low:high],
             counts={},
-            wheel_loss=self.wheel_loss,
+            wheel_loss=self.wheels.loss,
             turn=unknown,
             turn_spread=np.zeros((unknown.size, 2)),
         )
@@ -144,14 +167,13 @@ class Window:
         By sensor, the wheels' under their own name.
         """
         count = before - self.base
-        weights = {WHEELS: self.wheel_weight.view[:count].copy()}
+        weights: dict[str, Floats] = {}
         pieces = int(self._bounds.view[count]) - self._dropped
         for column in (
             self.stamps_ns,
             self.states,
             self._bounds,
             self.carry,
-            self.wheel_weight,
             self.linear_states,
             self.linear_calibration,
         ):

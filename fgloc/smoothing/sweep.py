@@ -61,13 +61,13 @@ def reach(problem: Problem, u: Floats, sigma: Floats, heading: float) -> int:
     return int(lost[0]) if lost.size else problem.states.shape[0]
 
 
-def _starts(problem: Problem, sigma: Floats) -> list[Floats]:
-    """Return calibrations (G,) to try: nominal, and others along what turns the heading most."""
-    by_calibration, spread, _ = _turns(problem, np.zeros(sigma.shape[0]), sigma)
+def starting_calibrations(problem: Problem, mean: Floats, sigma: Floats) -> list[Floats]:
+    """Return calibrations (G,) to try: the mean, and others along what turns the heading most."""
+    by_calibration, spread, _ = _turns(problem, mean, sigma)
     most, free = by_calibration[int(np.argmax(spread))], by_calibration.shape[1]
     direction = np.zeros(sigma.shape[0])
     direction[:free] = sigma[:free, :free] @ most / np.sqrt(float(spread.max()) + 1e-300)
-    return [t * direction for t in TRIES]
+    return [mean + t * direction for t in TRIES]
 
 
 def _first_window(
@@ -80,7 +80,7 @@ def _first_window(
     """
     best: Point | None = None
     iterations = 0
-    for u in _starts(problem, sigma):
+    for u in starting_calibrations(problem, prior.mean, sigma):
         states = problem.states.copy()
         path = dead_reckon(problem.displacement(u), problem.turn)
         states[:, :3] = compose(states[0, :3], path)

@@ -43,8 +43,8 @@ CASES: list[tuple[Kind, int, int, int]] = [
     (Kind.POSITION_FIX, -1, 2, 4),
     (Kind.POSE_FIX, -1, 0, 6),
     (Kind.POSE_FIX, 3, 3, 6),
-    (Kind.STATE_PRIOR, -1, 0, 3),
-    (Kind.STATE_PRIOR, 4, 2, 7),
+    (Kind.STATE_PRIOR, -1, 0, 6),
+    (Kind.STATE_PRIOR, 4, 2, 14),
 ]
 """(kind, slot, size of g, size of m)."""
 

@@ -1,0 +1,108 @@
+"""Which heading sensors to believe, decided within the window as batch decides for a drive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fgloc.core.measurements import Floats
+from fgloc.factors.tables import FactorTable, Kind
+from fgloc.online.smoother import WindowSmoother, first_prior, mean_cost
+from fgloc.smoothing.trust import GAIN, STRAINED, STRETCHED
+
+SUSPECTS = (Kind.YAW, Kind.YAW_RATE)
+"""Sensors that may lie about the heading while everything else agrees."""
+PATIENCE = 4
+"""After a trial that changed nothing the next one waits this many times longer."""
+UNSURE = 25.0
+"""Factor on the covariance of the pose at which a window without a sensor begins."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A sensor that is not believed any more."""
+
+    sensor: str
+    """Its name."""
+    reason: str
+    """What a user should know."""
+
+
+class Trust:
+    """Watches the window's residuals and finds out a heading sensor that contradicts the rest."""
+
+    def __init__(self, smoother: WindowSmoother) -> None:
+        self._smoother = smoother
+        self._wait = 0
+        self._pause = 1
+
+    def look(self) -> Verdict | None:
+        """Look at the last whole pass; try the window without a suspect if it is strained.
+
+        A trial costs tens of milliseconds; the more of them were in vain, the rarer they become.
+        """
+        smoother = self._smoother
+        suspects = sorted(
+            {t.sensor for t in smoother.window.tables.values() if t.kind in SUSPECTS and t.first}
+        )
+        if not suspects or self._wait > 0:
+            self._wait -= 1
+            return None
+        before, pulled = _strain(smoother), _stretch(smoother, smoother.calibration)
+        if before < STRAINED and pulled < STRETCHED:
+            return None
+        for suspect in suspects:
+            trial = smoother.solve_without(suspect, self._prior())
+            after = mean_cost(trial.tables, trial.squared)
+            verdict = None
+            if before >= STRAINED and after < GAIN * before:
+                verdict = (
+                    f"{suspect} contradicts the absolute sensors and is left out from now on: "
+                    f"without it their mean cost falls from {before:.3g} to {after:.3g} (0.5 is "
+                    "right)"
+                )
+            elif pulled >= STRETCHED and _stretch(smoother, trial.calibration) < 0.5 * pulled:
+                verdict = (
+                    f"{suspect} could only be right if the robot's calibration were {pulled:.1f} "
+                    "prior sigmas from nominal, and is left out from now on; if the robot is like "
+                    "that, say so with --robot"
+                )
+            if verdict is not None:
+                smoother.adopt(trial, suspect, self._prior())
+                self._pause = 1
+                return Verdict(suspect, verdict)
+        self._wait = self._pause
+        self._pause *= PATIENCE
+        return None
+
+    def _prior(self) -> FactorTable:
+        """Return a prior that the suspect has not spoiled.
+
+        The pose is where it was thought to be, less surely; the calibration is as at the
+        beginning. At the very beginning nothing is spoiled.
+        """
+        window = self._smoother.window
+        prior = window.prior
+        assert prior is not None
+        if window.base == 0:
+            return prior
+        b = window.layout.width
+        covariance = np.linalg.inv(prior.sqrt_information[0].T @ prior.sqrt_information[0])
+        pose = UNSURE * covariance[:b, :b]
+        return first_prior(window, prior.measurements[0, :b], np.linalg.inv(np.linalg.cholesky(pose)))
+
+
+def _strain(smoother: WindowSmoother) -> float:
+    """Return the mean cost of the arbiters in the last whole pass."""
+    last = smoother.last_whole
+    return 0.0 if last is None else mean_cost(last.tables, last.squared)
+
+
+def _stretch(smoother: WindowSmoother, calibration: Floats) -> float:
+    """Return how many prior sigmas the robot's own calibration is away, at most."""
+    layout = smoother.window.layout
+    pulls = [
+        abs(calibration[k]) / layout.parameters[k].solver_sigma for k in range(len(layout.free))
+    ]
+    return float(max(pulls, default=0.0))
