@@ -17,7 +17,7 @@ from fgloc.factors.kernels.heading import yaw, yaw_rate, zero_prior, zero_walk
 from fgloc.factors.kernels.lidar import range_bearing, wall
 from fgloc.factors.kernels.motion import calibration_walk, zero_velocity
 from fgloc.factors.kernels.prior import state_prior
-from fgloc.factors.kernels.slip import slip_prior, slip_walk, wheel_slip
+from fgloc.factors.kernels.slip import slip_prior, slip_side, slip_walk, wheel_slip
 from fgloc.factors.kernels.wheel import wheel_odometry
 from fgloc.factors.robust import PLAIN, Loss
 
@@ -41,6 +41,7 @@ class Kind(IntEnum):
     WHEEL_SLIP = 13
     SLIP_PRIOR = 14
     SLIP_WALK = 15
+    SLIP_SIDE = 16
 
 
 KERNELS: dict[Kind, Callable[..., None]] = {
@@ -60,6 +61,7 @@ KERNELS: dict[Kind, Callable[..., None]] = {
     Kind.WHEEL_SLIP: wheel_slip,
     Kind.SLIP_PRIOR: slip_prior,
     Kind.SLIP_WALK: slip_walk,
+    Kind.SLIP_SIDE: slip_side,
 }
 """The kernels by kind, for tests and for single factors; the compiled loop dispatches itself."""
 
@@ -80,6 +82,7 @@ COMPONENTS: dict[Kind, tuple[str, ...]] = {
     Kind.WHEEL_SLIP: ("forward [m]", "left [m]", "heading [rad]"),
     Kind.SLIP_PRIOR: ("slip [1]",),
     Kind.SLIP_WALK: ("change of slip [1]",),
+    Kind.SLIP_SIDE: ("slip on the unlikely side [1]",),
 }
 """Leading residual components with units; all of them but for STATE_PRIOR and CALIBRATION_WALK,
 whose number depends on the state."""
@@ -258,8 +261,10 @@ def _evaluate(
         wheel_slip(xi, xj, g, m, slot, r, ji, jj, jg)
     elif kind == 14:
         slip_prior(xi, xj, g, m, slot, r, ji, jj, jg)
-    else:
+    elif kind == 15:
         slip_walk(xi, xj, g, m, slot, r, ji, jj, jg)
+    else:
+        slip_side(xi, xj, g, m, slot, r, ji, jj, jg)
 
 
 @compiled

@@ -60,17 +60,34 @@ def slip_prior(
     jj: Floats,
     jg: Floats,
 ) -> None:
-    """Residual of the slip s in column `slot`: s on its likely side, c·s on the other.
+    """Residual s of the slip in column `slot`: none is usual; m is unused."""
+    ji[0, slot] = 1.0
+    r[0] = xi[slot]
 
-    m = [side, c]: side is 1 for a wheel that speeds up (only overspeed is likely), -1 for one
-    that is braked, 0 for neither (both sides alike, by the mean (1 + c)/2), or between; c >= 1.
-    r = (c+1)/2·s - side·(c-1)/2·(sqrt(s² + e²) - e) with e = ROUND, increasing and smooth.
+
+@compiled
+def slip_side(
+    xi: Floats,
+    xj: Floats,
+    g: Floats,
+    m: Floats,
+    slot: int,
+    r: Floats,
+    ji: Floats,
+    jj: Floats,
+    jg: Floats,
+) -> None:
+    """Residual of a slip s in column `slot` on the side that the wheel's torque speaks against.
+
+    m = [side]: 1 for a wheel that speeds up (overspeed is likely), -1 for one that is braked, 0
+    where nothing is known, or between. r = |side|·(sqrt(s² + e²) - e)/2 - side·s/2 with e = ROUND:
+    about nothing on the likely side, about |s| on the other.
     """
     s = xi[slot]
-    mean, half = 0.5 * (m[1] + 1.0), 0.5 * (m[1] - 1.0) * m[0]
+    size = 0.5 * abs(m[0])
     root = np.sqrt(s * s + ROUND * ROUND)
-    r[0] = mean * s - half * (root - ROUND)
-    ji[0, slot] = mean - half * s / root
+    r[0] = size * (root - ROUND) - 0.5 * m[0] * s
+    ji[0, slot] = size * s / root - 0.5 * m[0]
 
 
 @compiled

@@ -160,22 +160,21 @@ def test_slip_takes_its_part_off_the_displacement(pair: tuple[Floats, Floats]) -
 
 
 def test_slip_is_dear_on_the_unlikely_side() -> None:
-    def prior(slip: float, side: float) -> float:
+    def residual(kind: Kind, slip: float, side: float) -> float:
         x = np.array([0.0, 0.0, 0.0, slip])
-        row = np.array([side, 5.0])
-        return float(evaluate(Kind.SLIP_PRIOR, x, x, np.zeros(0), row, 3)[0][0])
+        return float(evaluate(kind, x, x, np.zeros(0), np.array([side]), 3)[0][0])
 
-    # Far from the rounded corner (0.01): s, or 5 s on the side that the wheel's torque speaks
-    # against, but for the corner itself, which is (c-1)/2·e = 0.02.
-    assert prior(1e3, 1.0) == pytest.approx(1e3 + 0.02)
-    assert prior(-1e3, 1.0) == pytest.approx(-5e3 + 0.02)
-    assert prior(1e3, -1.0) == pytest.approx(5e3 - 0.02)
-    assert prior(-1e3, -1.0) == pytest.approx(-1e3 - 0.02)
-    assert prior(0.3, 0.0) == pytest.approx(0.9)
-    for side in (-1.0, 0.0, 0.5, 1.0):
-        assert prior(0.0, side) == 0.0
-        steps = np.diff([prior(s, side) for s in np.linspace(-0.5, 0.5, 101)])
-        assert (steps > 0.0).all()
+    # Far from the rounded corner (0.01), which takes off half of itself.
+    for side in (1.0, -1.0):
+        assert residual(Kind.SLIP_SIDE, side * 1e3, side) == pytest.approx(-0.005, abs=1e-6)
+        assert residual(Kind.SLIP_SIDE, -side * 1e3, side) == pytest.approx(1e3 - 0.005)
+        assert residual(Kind.SLIP_SIDE, 0.0, side) == 0.0
+        # Near it: sqrt(0.03² + 0.01²) = 0.0316228.
+        near = residual(Kind.SLIP_SIDE, -side * 0.03, side)
+        assert near == pytest.approx((0.0316228 - 0.01) / 2 + 0.015, abs=1e-6)
+    assert residual(Kind.SLIP_SIDE, -0.2, 0.0) == 0.0
+    assert residual(Kind.SLIP_SIDE, -1e3, 0.5) == pytest.approx(500.0 - 0.0025)
+    assert residual(Kind.SLIP_PRIOR, -0.2, 1.0) == -0.2
 
 
 def test_slip_and_calibration_last() -> None:

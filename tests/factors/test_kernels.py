@@ -63,7 +63,8 @@ CASES: list[tuple[Kind, int, int, int]] = [
     (Kind.ZERO_VELOCITY, 3, 0, 1),
     (Kind.WHEEL_SLIP, 3, 0, 9),
     (Kind.WHEEL_SLIP, 3, 4, 21),
-    (Kind.SLIP_PRIOR, 4, 0, 2),
+    (Kind.SLIP_PRIOR, 4, 0, 1),
+    (Kind.SLIP_SIDE, 4, 0, 1),
     (Kind.SLIP_WALK, 4, 0, 1),
 ]
 """(kind, slot, size of g, size of m)."""
@@ -99,8 +100,8 @@ def measurements_of(kind: Kind, xi: Floats, xj: Floats, size: int) -> list[Float
         return [near, np.concatenate([m[:3], [0.0, 0.0], m[5:]])]
     if kind == Kind.RANGE_BEARING:
         return [np.concatenate([m[:2], MOUNT[:2], m[4:]])]
-    if kind == Kind.SLIP_PRIOR:
-        return [np.array([side, 4.0]) for side in (-1.0, 0.0, 0.3, 1.0)]
+    if kind == Kind.SLIP_SIDE:
+        return [np.array([side]) for side in (-1.0, 0.0, 0.3, 1.0)]
     return [m]
 
 
@@ -149,7 +150,10 @@ def numerical(kind: Kind, function: Callable[[Floats], Floats], size: int, h: fl
 
 
 def step_of(kind: Kind, xi: Floats, xj: Floats, g: Floats) -> float:
-    """Return over how much to take differences: near a point its bearing turns quickly."""
+    """Return over how much to take differences: near a point its bearing turns
+    quickly, and near no slip the side that is unlikely."""
+    if kind == Kind.SLIP_SIDE:
+        return 1e-4
     if kind != Kind.RANGE_BEARING:
         return 1e-3
     mount = MOUNT + g if g.size else MOUNT
