@@ -74,7 +74,8 @@ def slip_groups(base: WheeledBase) -> tuple[SlipGroup, ...]:
     parameters: dict[str, list[int]] = {}
     columns: dict[str, list[int]] = {}
     for k, p in enumerate(base.parameters):
-        if p.family != "wheel_radius":
+        # The full linear model has no radii, but its coefficients all grow with them.
+        if p.family not in ("wheel_radius", "linear_x", "linear_y", "linear_turn"):
             continue
         name = p.name.partition(".")[2]
         parameters.setdefault(name, []).append(k)
@@ -89,7 +90,8 @@ def slip_effect(base: WheeledBase, jacobian: Floats, values: Floats) -> Floats:
     """Return E (N, 3, S), the derivative of displacements by the slip of every group.
 
     `jacobian` (N, 3, P) are the derivatives by the physical parameters, (P,) `values` where they
-    were taken. To roll (1 - s) of a way is to have radii smaller by that: E = -r·dD/dr.
+    were taken. To roll (1 - s) of a way is to have radii smaller by that: E = -r·dD/dr,
+    summed over all that is proportional to the radius.
     """
     scaled = -jacobian * values
     columns = [scaled[:, :, g.parameters].sum(axis=2) for g in slip_groups(base)]

@@ -138,8 +138,10 @@ def test_who_is_driven_overspeeds_where_the_yaw_alone_cannot_say() -> None:
     assert abs(found[-1.0][0]) < 0.05
 
 
-def test_effect_of_slip_is_that_of_rolling_less() -> None:
+@pytest.mark.parametrize("linear", [False, True])
+def test_effect_of_slip_is_that_of_rolling_less(linear: bool) -> None:
     base = bases.skid_steer(("fl", "rl"), ("fr", "rr"), 0.1, 0.7, order=("fl", "fr", "rl", "rr"))
+    base = bases.full_linear(base) if linear else base
     robot = Robot("skid", base)
     assert [(g.name, g.columns) for g in slip_groups(base)] == [("left", (0, 2)), ("right", (1, 3))]
     stamps = (np.arange(6) * 1e8).astype(np.int64)
