@@ -6,7 +6,8 @@ interval, and a pull away from the side that the wheel's acceleration speaks aga
 walk have the Cauchy loss, under which a clear slip costs little more than a small one and may
 begin and end at once; the pull has Huber's, as Cauchy's would forget the side of a large slip.
 The costs of both are concave in the squared residual, so that every round of reweighted least
-squares lowers the cost of a linear problem, whatever the start; one without slip trusts everything alike.
+squares lowers the cost of a linear problem, whatever the start; one without slip trusts
+everything alike.
 """
 
 from __future__ import annotations
