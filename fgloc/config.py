@@ -2,6 +2,7 @@
 
 [robot]
 name = "Jaguar, new tyres"
+kind = "full-linear"                # another model of the same wheels; parameters are then its own
 
 [parameters."effective_track"]      # one table a parameter; both keys may be left out
 value = 0.72                        # m, rad, s or 1, as `fgloc compare` prints it
@@ -24,6 +25,7 @@ from typing import TypeVar
 import msgspec
 
 from fgloc.atomic import write_text
+from fgloc.core.bases import full_linear
 from fgloc.core.bounds import dimension_problem
 from fgloc.core.kinematics import Parameter, WheeledBase
 from fgloc.core.robot import Robot, WheelNoise
@@ -41,6 +43,8 @@ class RobotTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     name: str | None = None
     """Name in tables and reports; None keeps the drive's."""
+    kind: str | None = None
+    """Kinematic model: "full-linear", or None or the drive's own to keep that."""
 
 
 class ParameterTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -71,6 +75,8 @@ class RobotFile:
     """What was read, for line numbers in error messages."""
     name: str | None = None
     """What the robot is called."""
+    kind: str | None = None
+    """Which kinematic model it has."""
     parameters: Mapping[str, ParameterTable] = field(default_factory=dict)
     """Calibration parameters by contract name."""
     noise: Mapping[str, float] = field(default_factory=dict)
@@ -113,7 +119,7 @@ def load_robot(path: str | Path) -> RobotFile:
         lowest = SMALLEST if name.startswith("standing") else 0.0
         _check_number(file, value, lowest, "noise", name)
     robot = _table(file, raw.get("robot", {}), RobotTable, "robot")
-    return replace(file, name=robot.name, parameters=tables, noise=noise)
+    return replace(file, name=robot.name, kind=robot.kind, parameters=tables, noise=noise)
 
 
 def apply_robot(robot: Robot, path: str | Path) -> Robot:
@@ -124,6 +130,7 @@ def apply_robot(robot: Robot, path: str | Path) -> Robot:
     robot does not have, that must be positive or whose size tells of a wrong unit.
     """
     file = load_robot(path)
+    robot = replace(robot, base=_with_kind(file, robot.base))
     known = {p.name: p for p in robot.base.parameters}
     moved: dict[str, float] = {}
     for name, table in file.parameters.items():
@@ -151,7 +158,7 @@ def apply_robot(robot: Robot, path: str | Path) -> Robot:
 
 def robot_toml(robot: Robot) -> str:
     """Return a robot file that says everything `apply_robot` can set, without losing a digit."""
-    lines = ["[robot]", f"name = {_quoted(robot.name)}"]
+    lines = ["[robot]", f"name = {_quoted(robot.name)}", f"kind = {_quoted(robot.base.kind)}"]
     for p in robot.base.parameters:
         lines += [
             "",
@@ -167,6 +174,19 @@ def robot_toml(robot: Robot) -> str:
 def dump_robot(robot: Robot, path: str | Path) -> None:
     """Write `robot_toml` to `path`, whole or not at all; raises FglocError if it cannot."""
     write_text(path, robot_toml(robot))
+
+
+def _with_kind(file: RobotFile, base: WheeledBase) -> WheeledBase:
+    """Return the base as the kinematic model that the file wants."""
+    if file.kind is None or file.kind == base.kind:
+        return base
+    if file.kind != "full-linear":
+        known = f'"{base.kind}" or "full-linear"'
+        raise file.error(f"robot.kind must be {known}, got {_quoted(file.kind)}", "robot", "kind")
+    try:
+        return full_linear(base)
+    except FglocError as error:
+        raise file.error(f"robot.kind: {error}", "robot", "kind") from error
 
 
 def _with_sigmas(base: WheeledBase, sigmas: dict[str, float]) -> WheeledBase:

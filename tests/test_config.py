@@ -141,3 +141,23 @@ def test_a_size_in_another_unit_is_named(tmp_path: Path, line: str, message: str
     base = bases.differential(0.1, 0.1, 0.5)
     with pytest.raises(FglocError, match=message):
         apply_robot(Robot("test", base), file)
+
+
+def test_kind_chooses_the_full_linear_model(tmp_path: Path) -> None:
+    text = '[robot]\nkind = "full-linear"\n[parameters."linear_y.left"]\nvalue = 0.002\n'
+    robot = apply_robot(jaguar(), written(tmp_path, text))
+    assert robot.base.kind == "full-linear"
+    assert parameters(robot)["linear_y.left"][0] == 0.002
+    assert robot.noise == jaguar().noise
+    # 1 rad of all wheels is 0.135 m forward, and now a little to the left.
+    moved = robot.base.displacements(np.ones((1, 4)))
+    np.testing.assert_allclose(moved, [[0.135, 0.002, 0.0]], atol=1e-15)
+    dump_robot(robot, tmp_path / "again.toml")
+    assert apply_robot(jaguar(), tmp_path / "again.toml") == robot
+    own = written(tmp_path, '[robot]\nkind = "skid-steer"\n')
+    assert apply_robot(jaguar(), own) == jaguar()
+    with pytest.raises(FglocError, match=r'robot.toml:2: robot.kind must be "skid-steer" or "full'):
+        apply_robot(jaguar(), written(tmp_path, '[robot]\nkind = "mecanum"\n'))
+    steered = Robot("cart", bases.tricycle(0.1, 0.8))
+    with pytest.raises(FglocError, match=r"robot.kind: tricycle: a steered base has no full"):
+        apply_robot(steered, written(tmp_path, '[robot]\nkind = "full-linear"\n'))

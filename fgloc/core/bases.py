@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from fgloc.core.kinematics import RADIUS, STEER, Parameter, Wheel, WheeledBase, X, Y
+from fgloc.errors import FglocError
 
 Link = tuple[str, str, int, float]
 
@@ -17,6 +21,9 @@ TRACK_PRIOR = 0.05
 """Relative prior sigma of a geometric track or base radius: contact width of the tyres."""
 SKID_TRACK_PRIOR = 0.35
 """Relative prior sigma of a skid-steer effective track: in practice track < effective < 2·track."""
+CROSS_PRIOR = 0.05
+"""Prior sigma of how far a wheel moves a base across its way, in the full linear model, by its
+own rolling: 3 degrees of toe, or a centre of rotation a twentieth of the track off the axle."""
 
 
 def _radii(names: Sequence[str], radii: Sequence[float]) -> tuple[list[Parameter], list[Link]]:
@@ -194,3 +201,66 @@ def four_wheel_steer(
             (f"steer_offset.{n}", n, STEER, 1.0),
         ]
     return WheeledBase("4wis4wid", tuple(wheels), tuple(parameters), tuple(links))
+
+
+def full_linear(base: WheeledBase, *, turn_prior: float | None = None) -> WheeledBase:
+    """Return the full linear model of a base: displacement (dx, dy, dtheta) = J·(wheel angles).
+
+    Every entry of J is a parameter that starts at the base's own kinematics: `linear_x.NAME` and
+    `linear_y.NAME` [m/rad], `linear_turn.NAME` [rad/rad] for every wheel, or for the wheels of a
+    side together where they share a radius: 6 with two sides, 3N with N omni wheels. Entries
+    along the way of a wheel have the prior of a radius, turns the relative sigma `turn_prior`
+    (None: that of the base's track), all but for a percent in common. Encoders keep their order.
+    Raises FglocError for a steered base, which is not linear in its wheel angles.
+    """
+    if any(w.kind == "linear" for w in base.wheels):
+        return base
+    if any(column == STEER for _, _, column, _ in base.links):
+        raise FglocError(f"{base.kind}: a steered base has no full linear model")
+    driven = [base.wheels[i] for i in base.driven]
+    columns = base.displacements(np.eye(len(driven))).T
+    shared = {
+        wheel: link.partition(".")[2] for link, wheel, column, _ in base.links if column == RADIUS
+    }
+    names = [shared.get(w.name, w.name) for w in driven]
+    relative = SKID_TRACK_PRIOR if base.kind == "skid-steer" else TRACK_PRIOR
+    relative = relative if turn_prior is None else turn_prior
+    parameters: list[Parameter] = []
+    links: list[Link] = []
+    for name in dict.fromkeys(names):
+        group = [k for k, n in enumerate(names) if n == name]
+        radius = driven[group[0]].radius
+        along = columns[:, group].sum(axis=1)
+        along[np.abs(along) < 1e-12 * radius] = 0.0
+        for a, (axis, value) in enumerate(zip(("x", "y", "turn"), along.tolist(), strict=True)):
+            leading = axis == "turn" or abs(value) >= 0.1 * math.hypot(along[0], along[1])
+            spread = relative if axis == "turn" else RADIUS_PRIOR
+            parameters.append(
+                Parameter(
+                    f"linear_{axis}.{name}",
+                    value,
+                    spread * abs(value) if leading else CROSS_PRIOR * radius,
+                    unit="1" if axis == "turn" else "m",
+                    scale=abs(value) if leading and value else radius,
+                    correlation=_common(spread) if leading else 0.0,
+                )
+            )
+            column, part = (X, Y, STEER)[a], 1.0 / len(group)
+            links += [(f"linear_{axis}.{name}", driven[k].name, column, part) for k in group]
+    start = WheeledBase(
+        "full-linear",
+        tuple(Wheel(w.name, 0.0, 0.0, w.radius, "linear") for w in driven),
+        tuple(parameters),
+        tuple(links),
+    )
+    moved = start.with_values({})
+    if all(w.kind == "roller" for w in base.wheels):
+        return moved
+    # What kept the base from slipping sideways still does, with the same noise.
+    return replace(moved, wheels=(*moved.wheels, Wheel("side", 0.0, 0.0, kind="passive")))
+
+
+def _common(spread: float) -> float:
+    """Return the correlation of relative errors `spread` that differ by a percent each."""
+    own = RADIUS_PRIOR**2 * (1.0 - RADIUS_CORRELATION)
+    return max(0.0, 1.0 - own / spread**2) if spread > 0.0 else 0.0

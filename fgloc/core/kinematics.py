@@ -6,7 +6,10 @@ Along its heading u = (cos d, sin d) and across it n = (-sin d, cos d):
 - fixed:   u·c = r·rate (rolling row) and n·c = 0 (no side slip);
 - roller:  g·c = r·rate·cos(gamma) with g = (cos(d+gamma), sin(d+gamma)) along the roller's axis,
            so gamma = ±45° is a mecanum wheel and gamma = 0 an omni wheel or a skidding tyre;
-- passive: n·c = 0 only, no encoder.
+- passive: n·c = 0 only, no encoder;
+- linear:  no geometry at all: each radian moves the base by (x, y, steer) = (forward, left,
+           turn), one column of the full linear model, displacement = J·wheel angles (Okawara et
+           al.). Such wheels stand alone, but for passive ones that only carry side slip noise.
 
 The base's twist is the weighted least-squares solution of all rows. Increments obey the same
 equations with angles for rates: what comes out is the body displacement as a twist times time,
@@ -15,6 +18,7 @@ exact on an arc of constant twist (see `fgloc.core.geometry.exp`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -25,9 +29,9 @@ from fgloc.core.compiled import compiled
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
 
-WheelKind = Literal["fixed", "roller", "passive"]
-KINDS: tuple[WheelKind, ...] = ("fixed", "roller", "passive")
-FIXED, ROLLER, PASSIVE = range(3)
+WheelKind = Literal["fixed", "roller", "passive", "linear"]
+KINDS: tuple[WheelKind, ...] = ("fixed", "roller", "passive", "linear")
+FIXED, ROLLER, PASSIVE, LINEAR = range(4)
 X, Y, STEER, RADIUS = range(4)
 """Columns of a wheel's primitive quantities."""
 
@@ -39,15 +43,17 @@ class Wheel:
     name: str
     """Identity, e.g. "fl"; encoders refer to it."""
     x: float
-    """Contact point, forward of the base origin [m]."""
+    """Contact point, forward of the base origin [m]; linear: way forward a radian [m]."""
     y: float
-    """Contact point, left of the base origin [m]."""
+    """Contact point, left of the base origin [m]; linear: way to the left a radian [m]."""
     radius: float = 1.0
-    """Rolling radius [m]; has no meaning for a passive wheel."""
+    """Rolling radius [m]; has no meaning for a passive wheel, linear: only scales the noise."""
     kind: WheelKind = "fixed"
-    """fixed: rolls, no side slip; roller: one row along the roller axis; passive: no side slip."""
+    """fixed: rolls, no side slip; roller: one row along the roller axis; passive: no side slip;
+    linear: moves the base in proportion to its angle."""
     steer: float = 0.0
-    """Constant heading of the wheel [rad]; a measured steering angle is added to it."""
+    """Constant heading of the wheel [rad], to which a measured steering angle is added; linear:
+    turn of the base a radian of the wheel [1]."""
     roller: float = 0.0
     """Angle from the wheel's heading to its rollers' axis [rad]; roller wheels only."""
 
@@ -70,7 +76,8 @@ class Parameter:
     """Unit of the additive solver variable, in `unit`."""
     correlation: float = 0.0
     """Prior correlation with the other parameters of its family, the part of the name before the
-    dot: wheels of one make are all worn or all new, so their radii are wrong together."""
+    dot: wheels of one make are all worn or all new, so their radii are wrong together. Where
+    nominal values differ in sign, so do the errors."""
 
     @property
     def family(self) -> str:
@@ -99,9 +106,9 @@ class Parameter:
 
 def prior_correlation(parameters: Sequence[Parameter]) -> Floats:
     """Return the (P, P) prior correlation matrix of parameters: non-zero within a family only."""
-    own = np.array([p.correlation for p in parameters])
+    own = np.array([math.copysign(math.sqrt(p.correlation), p.nominal) for p in parameters])
     family = np.array([p.family for p in parameters], dtype=np.str_)
-    matrix = np.sqrt(np.outer(own, own)) * (family[:, None] == family[None, :])
+    matrix = np.outer(own, own) * (family[:, None] == family[None, :])
     np.fill_diagonal(matrix, 1.0)
     return np.asarray(matrix, dtype=np.float64)
 
@@ -133,6 +140,9 @@ class WheeledBase:
                 raise FglocError(f"wheel {w.name}: kind must be one of {', '.join(KINDS)}")
             if w.kind != "passive" and not w.radius > 0.0:
                 raise FglocError(f"wheel {w.name}: radius must be positive, got {w.radius}")
+        kinds = {w.kind for w in self.wheels}
+        if "linear" in kinds and kinds & {"fixed", "roller"}:
+            raise FglocError(f"{self.kind}: linear wheels cannot be mixed with others")
         known = {p.name for p in self.parameters}
         for name, wheel, column, _ in self.links:
             if name not in known or wheel not in names:
@@ -268,6 +278,39 @@ def solve3(m: Floats, inverse: Floats) -> bool:
 
 
 @compiled
+def _linear_displacement(
+    angles: Floats,
+    primitives: Floats,
+    kinds: Floats,
+    rows: Floats,
+    xi: Floats,
+    gain: Floats,
+    jacobian: Floats,
+) -> int:
+    """Do `body_displacement` for linear wheels: the sum of the wheels' columns times their angles.
+
+    A row's right side is the way its wheel rolls, as for any driven wheel, so that noise grows
+    with it; a passive wheel's row says how side slip moves the base.
+    """
+    xi[0], xi[1], xi[2] = 0.0, 0.0, 0.0
+    jacobian[:] = 0.0
+    driven = 0
+    for i in range(kinds.size):
+        passive = kinds[i] == 2
+        rows[i, 5], rows[i, 6] = i, 1.0 if passive else 0.0
+        rows[i, 3] = 0.0
+        gain[0, i], gain[1, i], gain[2, i] = 0.0, 1.0, 0.0
+        if not passive:
+            rows[i, 3] = primitives[i, 3] * angles[driven]
+            for a in range(3):
+                xi[a] += primitives[i, a] * angles[driven]
+                gain[a, i] = primitives[i, a] / primitives[i, 3]
+                jacobian[a, 4 * i + a] = angles[driven]
+            driven += 1
+    return int(kinds.size)
+
+
+@compiled
 def body_displacement(
     angles: Floats,
     steering: Floats,
@@ -288,6 +331,9 @@ def body_displacement(
     `jacobian` (3, 4W) = d xi / d primitives. With N = AᵀWA, differentiating N xi = AᵀW b gives
     d xi = N⁻¹ [dAᵀ W (b - A xi) + AᵀW (db - dA xi)].
     """
+    for i in range(kinds.size):
+        if kinds[i] == 3:
+            return _linear_displacement(angles, primitives, kinds, rows, xi, gain, jacobian)
     n = 0
     normal = np.zeros((3, 3))
     right = np.zeros(3)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fgloc.core import bases
+from fgloc.core.kinematics import prior_correlation
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
 
@@ -145,3 +146,57 @@ def test_a_base_needs_positive_sizes() -> None:
         bases.differential(-0.1, 0.1, 0.5)
     with pytest.raises(FglocError, match="effective_track must be positive, got 0"):
         bases.differential(0.1, 0.1, 0.0)
+
+
+FULL = {
+    "differential": (bases.differential(0.042, 0.0425, 0.2), 2),
+    "skid": (bases.skid_steer(("fl", "rl"), ("fr", "rr"), 0.135, 0.7, icr_x=0.05), 2),
+    "mecanum": (bases.mecanum(0.05, 0.2, 0.15, ("fl", "fr", "rl", "rr")), 4),
+    "omni3": (bases.omni3((0.05, 0.051, 0.049), 0.2, (1.0, 3.1, -1.0)), 3),
+}
+
+
+@pytest.mark.parametrize("name", FULL)
+def test_the_full_linear_model_starts_as_the_base_itself(name: str) -> None:
+    base, groups = FULL[name]
+    full = bases.full_linear(base)
+    assert full.kind == "full-linear"
+    assert full.driven_names == base.driven_names
+    assert len(full.parameters) == 3 * groups
+    a = turns(len(base.driven))
+    np.testing.assert_allclose(full.displacements(a), base.displacements(a), atol=1e-14)
+    assert bases.full_linear(full) == full
+
+
+def test_the_full_linear_model_is_a_matrix() -> None:
+    full = bases.full_linear(bases.differential(0.1, 0.1, 0.5, order=("right", "left")))
+    values = {p.name: 0.01 * k for k, p in enumerate(full.parameters, 1)}
+    assert list(values)[:3] == ["linear_x.right", "linear_y.right", "linear_turn.right"]
+    moved, a = full.with_values(values), turns(2)
+    matrix = np.array([[0.01, 0.04], [0.02, 0.05], [0.03, 0.06]])
+    np.testing.assert_allclose(moved.displacements(a), a @ matrix.T, atol=1e-15)
+    np.testing.assert_allclose(
+        full.displacements(a, values=np.array(list(values.values()))), a @ matrix.T, atol=1e-15
+    )
+
+
+def test_priors_of_the_full_linear_model_are_those_of_its_base() -> None:
+    # Radius 0.1 m and track 0.5 m: 0.05 m forward and 0.2 rad of turn a radian of one wheel.
+    full = bases.full_linear(bases.skid_steer(("l",), ("r",), 0.1, 0.5))
+    sigma = {p.name: (p.nominal, p.prior_sigma) for p in full.parameters}
+    assert sigma["linear_x.left"] == pytest.approx((0.05, 0.0015))
+    assert sigma["linear_turn.left"] == pytest.approx((-0.2, 0.07))
+    assert sigma["linear_turn.right"] == pytest.approx((0.2, 0.07))
+    assert sigma["linear_y.right"] == pytest.approx((0.0, 0.005))
+    # All a robot turns is uncertain by 35 %, but going straight turns it little: two sides that
+    # differ by a percent each (3 %·√0.1) give √2·0.2·0.0095 rad a radian.
+    by = np.array([p.name.startswith("linear_turn") for p in full.parameters], dtype=float)
+    spread = np.array([p.prior_sigma for p in full.parameters]) * by
+    correlation = prior_correlation(full.parameters)
+    straight = np.sqrt(spread @ correlation @ spread)
+    assert straight == pytest.approx(np.sqrt(2.0) * 0.2 * 0.03 * np.sqrt(0.1), rel=1e-9)
+
+
+def test_a_steered_base_has_no_full_linear_model() -> None:
+    with pytest.raises(FglocError, match="tricycle: a steered base has no full linear model"):
+        bases.full_linear(bases.tricycle(0.1, 0.8))

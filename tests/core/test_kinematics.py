@@ -48,7 +48,12 @@ BASES = {
         lateral_weight=0.5,
     ),
 }
-every_base = pytest.mark.parametrize("base", BASES.values(), ids=BASES.keys())
+LINEAR = {
+    "full-linear": bases.full_linear(BASES["skid-steer"]),
+    "full-linear-omni": bases.full_linear(BASES["omni3"]),
+}
+every_base = pytest.mark.parametrize("base", (BASES | LINEAR).values(), ids=BASES | LINEAR)
+every_geometry = pytest.mark.parametrize("base", BASES.values(), ids=BASES)
 
 
 def solve(
@@ -129,7 +134,7 @@ def test_primitive_jacobian_is_the_derivative_of_primitives(base: WheeledBase) -
     np.testing.assert_allclose(moved.ravel(), base.primitive_jacobian() @ step, atol=1e-15)
 
 
-@every_base
+@every_geometry
 def test_solution_is_the_weighted_least_squares_of_the_wheel_equations(base: WheeledBase) -> None:
     # Written out wheel by wheel from the velocity of its contact point, not from the code's rows.
     for angles, steering in states(base):
@@ -274,6 +279,13 @@ def test_solve3_inverts_and_tells_singular() -> None:
         assert not solve3(b @ b.T, inverse)
     assert not solve3(np.zeros((3, 3)), inverse)
     assert not solve3(np.full((3, 3), np.nan), inverse)
+
+
+def test_prior_errors_follow_the_signs_of_their_parameters() -> None:
+    left = Parameter("linear_turn.left", -0.2, 0.02, "1", correlation=0.81)
+    right = Parameter("linear_turn.right", 0.2, 0.02, "1", correlation=0.81)
+    expected = [[1.0, -0.81], [-0.81, 1.0]]
+    np.testing.assert_allclose(prior_correlation([left, right]), expected, atol=1e-15)
 
 
 def test_radii_are_wrong_together_in_the_prior_and_nothing_else_is() -> None:

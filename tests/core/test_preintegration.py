@@ -25,6 +25,7 @@ BASES: dict[str, WheeledBase] = {
     "skid": bases.skid_steer(("fl", "rl"), ("fr", "rr"), 0.135, 0.7, icr_x=0.05, order=FOUR),
     "mecanum": bases.mecanum(0.05, 0.2, 0.15, FOUR),
     "omni3": bases.omni3((0.05, 0.051, 0.049), 0.2, (math.pi / 3, math.pi, -math.pi / 3)),
+    "full-linear": bases.full_linear(bases.differential(0.05, 0.051, 0.3)),
     "tricycle": bases.tricycle(0.1, 0.8, steer_offset=0.02),
     "swerve": bases.four_wheel_steer(FOUR, CORNERS, (0.06, 0.06, 0.061, 0.059)),
 }
