@@ -246,17 +246,20 @@ class Integrator:
     @property
     def displacement(self) -> Floats:
         """Return the (3,) displacement since the restart, in the axes of its beginning."""
-        return self._displacement[0]
+        out: Floats = self._displacement[0]
+        return out
 
     @property
     def covariance(self) -> Floats:
         """Return its (3, 3) covariance in the same axes."""
-        return self._covariance[0]
+        out: Floats = self._covariance[0]
+        return out
 
     @property
     def jacobian(self) -> Floats:
         """Return its (3, P) derivative by the physical parameter values."""
-        return self._jacobian[0]
+        out: Floats = self._jacobian[0]
+        return out
 
     def restart(self, values: Floats) -> None:
         """Begin a new interval at the physical parameter values (P,)."""

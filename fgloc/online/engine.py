@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from bisect import insort
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from fgloc.core.drive import Reference
+from fgloc.core.geometry import compose
 from fgloc.core.measurements import (
     CameraPoses,
     Floats,
@@ -25,17 +26,22 @@ from fgloc.core.measurements import (
 )
 from fgloc.core.preintegration import Integrator
 from fgloc.core.robot import Robot
+from fgloc.errors import FglocError
 from fgloc.factors.robust import PLAIN, Loss
 from fgloc.factors.tables import Kind
+from fgloc.online.aligning import Aligner
+from fgloc.online.clock import Clock
 from fgloc.online.fixes import Fix, FixTable
 from fgloc.online.layout import Layout, make_layout
 from fgloc.online.propagate import Propagation
 from fgloc.online.settings import OnlineSettings
 from fgloc.online.smoother import WindowSmoother, first_prior
 from fgloc.online.streams import CameraStream, GyroStream, Stream, YawStream
+from fgloc.online.tally import Tally
 from fgloc.online.trust import Trust, Verdict
-from fgloc.online.window import Window
+from fgloc.online.window import HIDDEN, Window
 from fgloc.smoothing.build import FREE_HEADING, KNOWN
+from fgloc.smoothing.initial import ORIGIN_SIGMA
 
 
 @dataclass(frozen=True)
@@ -52,24 +58,10 @@ class Start:
     """(3,) nominal pose of the reference on the robot."""
 
 
-DOWN_WEIGHTED = 0.25
-"""A factor whose robust weight is below this counts as down-weighted."""
-
-
-@dataclass
-class Tally:
-    """What became of one sensor's measurements."""
-
-    accepted: int = 0
-    """Factors with (nearly) full weight."""
-    down_weighted: int = 0
-    """Factors with a weight below 0.25."""
-    rejected: dict[str, int] = field(default_factory=dict)
-    """Measurements that did not become factors, by reason."""
-
-    def reject(self, reason: str) -> None:
-        """Count one more."""
-        self.rejected[reason] = self.rejected.get(reason, 0) + 1
+START = "start"
+"""Name of the factor that says where the drive starts."""
+FUTURE_NS = 30_000_000_000
+"""A stamp this far ahead of the wheels' is wrong."""
 
 
 class OnlineEngine:
@@ -90,12 +82,17 @@ class OnlineEngine:
         self.propagation = Propagation(self.layout, resolution)
         self.smoother = WindowSmoother(self.window, settings)
         self.trust = Trust(self.smoother)
+        self.clock = Clock()
+        self.aligner: Aligner | None = None
+        self.rebuilds = 0
+        self._mark: dict[tuple[str, Kind], int] = {}
         self.left_out: dict[str, str] = {}
         self.sensors = tuple(sensors)
         self.streams: dict[str, Stream] = {}
         self.fix_tables: dict[str, FixTable] = {}
         self.tally: dict[str, Tally] = {"wheels": Tally(), **{s.sensor: Tally() for s in sensors}}
         self.walks: dict[str, float] = {}
+        self.held = np.zeros(len(robot.base.driven))
         self.waiting: list[Fix] = []
         self.now_ns = 0
         self.dirty: int | None = None
@@ -105,21 +102,31 @@ class OnlineEngine:
         """Return a sensor's loss, or none where nothing is to be robust."""
         return loss if self.settings.robust else PLAIN
 
-    def begin(self, stamp_ns: int, start: Start) -> None:
-        """Make the first keyframe."""
+    def begin(self, stamp_ns: int, start: Start | None) -> None:
+        """Make the first keyframe.
+
+        Without a start the wheels' path begins at the origin; the first fixes, where the robot
+        has a sensor that gives them, tell where in the map that is.
+        """
         layout, window = self.layout, self.window
         state = np.zeros(layout.width)
-        state[:3] = start.base
+        if start is not None:
+            state[:3] = start.base
+        self.clock.admit(stamp_ns)
         self.now_ns = stamp_ns
         window.add_keyframe(stamp_ns, state)
         window.prior = first_prior(window, state, np.zeros((layout.width, layout.width)))
-        known = window.table(
-            Kind.POSE_FIX, "start", (6, 3), layout.places["start"].block, PLAIN
-        )
-        row = np.concatenate([start.pose, start.mount])
-        known.add(0, row, np.diag(1.0 / start.sigma), weight=1.0)
+        known = window.table(Kind.POSE_FIX, START, (6, 3), layout.places[START].block, PLAIN)
+        if start is None:
+            known.add(0, np.zeros(6), np.eye(3) / ORIGIN_SIGMA, weight=1.0)
+        else:
+            row = np.concatenate([start.pose, start.mount])
+            known.add(0, row, np.diag(1.0 / start.sigma), weight=1.0)
         for sensor in self.sensors:
             self._open(sensor, stamp_ns)
+        if start is None and self.fix_tables:
+            self.aligner = Aligner({name: t.mount for name, t in self.fix_tables.items()})
+            self.smoother.holding = True
         self.smoother.begin()
         self._restart()
 
@@ -167,12 +174,15 @@ class OnlineEngine:
         What cannot be used is counted with its reason, and never raises.
         """
         tally = self.tally[sensor]
+        stamp_ns = self.clock.time(stamp_ns)
         if sensor in self.left_out:
             tally.reject("contradicts the others")
         elif not np.isfinite(values).all():
             tally.reject("not finite")
         elif stamp_ns < self.window.stamp(self.window.base):
             tally.reject("older than the window")
+        elif stamp_ns > self.now_ns + FUTURE_NS:
+            tally.reject("its stamp lies in the future")
         elif sensor in self.streams:
             value = float(values[0]) if values.size == 1 else values
             if not self.streams[sensor].push(stamp_ns, value):
@@ -197,8 +207,35 @@ class OnlineEngine:
         moved = None
         if window.stamp(number) != fix.stamp_ns:
             moved = self._moved(number, fix.stamp_ns)
-        self.fix_tables[fix.sensor].add(number, fix, moved)
-        self._touch(number)
+        self._add_fix(number, fix, moved)
+
+    def _add_fix(self, number: int, fix: Fix, moved: Floats | None) -> None:
+        """Make a fix a factor, or use it to find out where the drive started."""
+        if self.aligner is None:
+            self.fix_tables[fix.sensor].add(number, fix, moved)
+            self._touch(number)
+            return
+        self.aligner.add(number, fix, moved, self.window.state(number)[:3])
+        found = self.aligner.start()
+        if found is not None:
+            waiting, self.aligner = self.aligner.fixes, None
+            self._place(*found)
+            for one in waiting:
+                self._add_fix(*one)
+            self.update()
+
+    def _place(self, start: Floats, sigma: Floats) -> None:
+        """Move the path so far to where it lies in the map."""
+        window = self.window
+        known = window.tables[START, Kind.POSE_FIX]
+        for states in (window.states.view, window.linear_states.view):
+            states[:, :3] = compose(start, states[:, :3])
+        assert window.prior is not None
+        window.prior.measurements[0, :3] = compose(start, window.prior.measurements[0, :3])
+        known.measurements.view[0, :3] = start
+        known.sqrt_information.view[0] = np.diag(1.0 / sigma)
+        self.smoother.holding = False
+        self.smoother.start_again()
 
     def _moved(self, number: int, stamp_ns: int) -> Floats:
         """Return where the wheels had brought the robot at a stamp, seen from a keyframe before."""
@@ -216,9 +253,7 @@ class OnlineEngine:
                 break
         return integrator.displacement
 
-    def wheels(
-        self, stamp_ns: int, angles: Floats, steering: Floats | None = None
-    ) -> bool:
+    def wheels(self, stamp_ns: int, angles: Floats, steering: Floats | None = None) -> bool:
         """Take the wheels' rotation (D,) [rad] since the last packet, and its end.
 
         Returns False if the packet could not be used (counted with its reason).
@@ -229,9 +264,13 @@ class OnlineEngine:
         ):
             tally.reject("not finite")
             return False
-        if stamp_ns <= self.now_ns:
-            tally.reject("time goes back")
+        if not self.clock.admit(stamp_ns):
+            # The wheels did turn: what they turned is part of the next packet.
+            tally.reject("its stamp lies in the past")
+            self.held = self.held + angles
             return False
+        stamp_ns = self.clock.time(stamp_ns)
+        angles, self.held = angles + self.held, np.zeros_like(angles)
         steer = np.zeros_like(angles) if steering is None else steering
         whole = stamp_ns - self.now_ns
         while self.waiting and self.waiting[0].stamp_ns <= stamp_ns:
@@ -240,8 +279,7 @@ class OnlineEngine:
             number = self.window.newest
             if self.window.stamp(number) != fix.stamp_ns:
                 number = self._keyframe()
-            self.fix_tables[fix.sensor].add(number, fix)
-            self._touch(number)
+            self._add_fix(number, fix, None)
         self._advance(angles, steer, stamp_ns, whole)
         if self._due():
             self._keyframe()
@@ -285,29 +323,74 @@ class OnlineEngine:
         return number
 
     def update(self) -> None:
-        """Smooth with everything that came since the last time."""
-        joint = self.propagation.joint()
-        moved = self.propagation.displacement_covariance
-        dropped = self.smoother.update(self.dirty, joint, moved)
+        """Smooth with everything that came since the last time; never raises.
+
+        Whatever the solver stumbles over, the newest factors are taken back and counted, and the
+        window is solved without them.
+        """
+        try:
+            dropped = self._smooth()
+        except (FglocError, np.linalg.LinAlgError, FloatingPointError):
+            dropped = self._rebuild()
         self.dirty = None
-        verdict = self.trust.look() if self.smoother.smoothed_whole else None
-        if verdict is not None:
-            self._leave_out(verdict)
+        self._mark = {key: table.added for key, table in self.window.tables.items()}
         self._restart()
+        for one in self.smoother.judged:
+            tally = self.tally[one.table.sensor]
+            tally.nis += float(one.nis.sum())
+            tally.components += one.nis.size * one.dimension
+        self.smoother.judged.clear()
         for sensor, weights in dropped.items():
             if sensor in self.tally:
-                low = int(np.count_nonzero(weights < DOWN_WEIGHTED))
-                self.tally[sensor].down_weighted += low
-                self.tally[sensor].accepted += weights.size - low
+                self.tally[sensor].gone(weights)
         if dropped:
             oldest = self.window.stamp(self.window.base)
             for stream in self.streams.values():
                 stream.prune(oldest)
 
+    def _smooth(self) -> dict[str, Floats]:
+        """Update the window; return the last weights of the factors that left it."""
+        joint = self.propagation.joint()
+        moved = self.propagation.displacement_covariance
+        dropped = self.smoother.update(self.dirty, joint, moved)
+        if self.smoother.smoothed_whole:
+            verdict = self.trust.look()
+            if verdict is not None:
+                self._leave_out(verdict)
+        return dropped
+
+    def _rebuild(self) -> dict[str, Floats]:
+        """Take the newest measurements back and solve the window without them.
+
+        Should that fail as well, dead reckoning goes on from the last pose that was right.
+        """
+        self.rebuilds += 1
+        for key, table in self.window.tables.items():
+            if table.kind in HIDDEN or table is self.window.wheels:
+                continue
+            lost = table.take_back(self._mark.get(key, 0))
+            if table.sensor in self.tally:
+                self.tally[table.sensor].reject("the solver broke over it", lost)
+        try:
+            self.smoother.start_again()
+            return {}
+        except (FglocError, np.linalg.LinAlgError, FloatingPointError):
+            return self.smoother.abandon(self.propagation.state, self.propagation.joint())
+
     def _leave_out(self, verdict: Verdict) -> None:
         """Do without a sensor from now on."""
         self.streams.pop(verdict.sensor)
         self.left_out[verdict.sensor] = verdict.reason
+
+    def finish(self) -> None:
+        """Count what is still in the window, and what never became a factor."""
+        for table in self.window.tables.values():
+            if table.kind not in HIDDEN and table.sensor in self.tally:
+                self.tally[table.sensor].gone(table.weight.view)
+        for fix in self.waiting:
+            self.tally[fix.sensor].reject("after the last wheel packet")
+        for _, fix, _ in [] if self.aligner is None else self.aligner.fixes:
+            self.tally[fix.sensor].reject("the start is not known")
 
     def _restart(self) -> None:
         """Let dead reckoning go on from the keyframe solved last."""

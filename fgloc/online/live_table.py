@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fgloc.core.measurements import Floats, Stamps
+from fgloc.core.measurements import Floats
 from fgloc.factors.robust import PLAIN, Loss
 from fgloc.factors.tables import PAIRWISE, FactorTable, Kind
 from fgloc.online.growing import GrowingArray
@@ -33,6 +33,8 @@ class LiveTable:
         self.measurements = GrowingArray((measurement,))
         self.sqrt_information = GrowingArray((dimension, dimension))
         self.added = 0
+        # How many rows had been added before each one: the newest can be taken back.
+        self.serial = GrowingArray((), np.int64)
         # Robust weight of each row; infinite until the row has been judged.
         self.weight = GrowingArray(())
 
@@ -51,6 +53,7 @@ class LiveTable:
         if n and first < first_rows[-1]:
             at = int(np.searchsorted(first_rows, first, side="right"))
         self.first.insert(at, first)
+        self.serial.insert(at, self.added)
         self.measurements.insert(at, measurement)
         self.sqrt_information.insert(at, sqrt_information)
         self.weight.insert(at, weight)
@@ -92,12 +95,14 @@ class LiveTable:
             column.drop(count)
         return weights
 
-    def retract(self, rows: Stamps) -> None:
-        """Take back rows by their (sorted) positions: measurements that broke the solver."""
+    def take_back(self, since: int = 0) -> int:
+        """Forget the rows added after the first `since` ever; return how many they were."""
+        rows = np.flatnonzero(self.serial.view > since)
         for column in self._columns:
             column.replace(np.delete(column.view, rows, axis=0))
+        return int(rows.size)
 
     @property
     def _columns(self) -> tuple[GrowingArray, ...]:
         """Return all columns."""
-        return (self.first, self.measurements, self.sqrt_information, self.weight)
+        return (self.first, self.serial, self.measurements, self.sqrt_information, self.weight)

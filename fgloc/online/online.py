@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from fgloc.core.drive import Drive
 from fgloc.core.geometry import compose
 from fgloc.core.start import start_pose, trim_to_truth
 from fgloc.core.trajectory import Trajectory
-from fgloc.estimator import CalibrationEstimate, Result, SensorCount
+from fgloc.estimator import CalibrationEstimate, Result
 from fgloc.online.engine import OnlineEngine, Start
 from fgloc.online.replay import packets
 from fgloc.online.settings import OnlineSettings
-from fgloc.smoothing.initial import ORIGIN_SIGMA
+
+SURPRISING = 4.0
+"""Mean normalised innovation squared a component beyond which a sensor's noise is misjudged."""
 
 
 class OnlineSmoother:
@@ -45,23 +49,41 @@ class OnlineSmoother:
             k += 1
             poses[k] = engine.propagation.state[:3]
             covariances[k] = engine.propagation.covariance()
+        engine.finish()
         return Result(
             method=self.method,
             drive=drive.name,
             trajectory=Trajectory(drive.wheels.stamps_ns, poses, covariances),
-            sensors_used=("wheels",),
+            sensors_used=tuple(name for name, t in engine.tally.items() if t.used),
             calibration=_calibration(engine),
-            counts={
-                name: SensorCount(t.accepted, t.down_weighted, sum(t.rejected.values()))
-                for name, t in engine.tally.items()
-            },
+            counts={name: t.count() for name, t in engine.tally.items()},
+            notes=tuple(notes(engine)),
         )
 
 
-def start_of(drive: Drive) -> Start:
-    """Return where a drive starts: its truth's first pose, or the origin."""
+def notes(engine: OnlineEngine) -> Iterator[str]:
+    """Yield what a user should know about what the engine met."""
+    yield from engine.left_out.values()
+    for name, tally in engine.tally.items():
+        for reason, count in tally.rejected.items():
+            yield f"{count} measurements of {name} were rejected: {reason}"
+        if tally.components and tally.nis > SURPRISING * tally.components:
+            yield (
+                f"{name} surprises the estimate: normalised innovations squared are "
+                f"{tally.nis / tally.components:.3g} on average (1 is right)"
+            )
+    for shift in engine.clock.shifts:
+        yield f"the clock was set back by {shift * 1e-9:.3f} s; stamps go on as if it had not been"
+    if engine.rebuilds:
+        yield f"the window was rebuilt {engine.rebuilds} times because its solution failed"
+    if engine.aligner is not None and engine.aligner.fixes:
+        yield "the fixes do not tell where the drive started; poses are relative to its start"
+
+
+def start_of(drive: Drive) -> Start | None:
+    """Return where a drive starts: its truth's first pose; None where that is not known."""
     if drive.truth is None:
-        return Start(np.zeros(3), np.full(3, ORIGIN_SIGMA), np.zeros(3), np.zeros(3))
+        return None
     base = start_pose(drive)
     mount = np.array(drive.truth.mount, dtype=np.float64)
     return Start(compose(base, mount), np.array(drive.truth.sigma), base, mount)
@@ -70,7 +92,6 @@ def start_of(drive: Drive) -> Start:
 def _calibration(engine: OnlineEngine) -> tuple[CalibrationEstimate, ...]:
     """Return the calibration as it is known at the end."""
     posterior = engine.smoother.posterior
-    assert posterior is not None
     b = engine.layout.width
     sigma = np.sqrt(np.diag(posterior.covariance)[b:])
     return tuple(

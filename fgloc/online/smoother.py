@@ -80,6 +80,8 @@ class Judged:
     """Where they are."""
     nis: Floats
     """(M,) normalised innovations squared."""
+    dimension: int
+    """d, the degrees of freedom of each."""
 
 
 @dataclass(frozen=True)
@@ -131,20 +133,26 @@ class WindowSmoother:
         self._gates = {d: gate_threshold(settings.gate_probability, d) for d in (1, 2, 3)}
         self._since_whole = 0
         self.calibration = np.zeros(len(window.layout.parameters))
-        self.posterior: Posterior | None = None
+        self._posterior: Posterior | None = None
         self.repairs = 0
         self.last_whole: Pass | None = None
+        self.holding = False
         self._lost = 0
         self._fixes = 0
         self._wait = 0
         self._pause = 1
-        self.nis: dict[str, list[float]] = {}
+        self.judged: list[Judged] = []
+
+    @property
+    def posterior(self) -> Posterior:
+        """Return what is known at the keyframe solved last; there is one after `begin`."""
+        assert self._posterior is not None
+        return self._posterior
 
     @property
     def unsolved(self) -> int:
         """Return how many keyframes were made since the last step."""
-        solved = -1 if self.posterior is None else self.posterior.number
-        return self.window.newest - solved
+        return self.window.newest - self.posterior.number
 
     @property
     def smoothed_whole(self) -> bool:
@@ -155,6 +163,36 @@ class WindowSmoother:
         """Solve the first keyframe."""
         self._whole(None)
 
+    def start_again(self) -> None:
+        """Solve the window from its own factors as if nothing of it were solved.
+
+        Raises SolverError (or LinAlgError) if that cannot be done.
+        """
+        for live in self.window.tables.values():
+            live.weight.view[:] = 1.0
+        if not (np.isfinite(self.window.states.view).all() and np.isfinite(self.calibration).all()):
+            raise SolverError("the window holds states that are not finite")
+        self._repair()
+        self._since_whole = 0
+        self._whole(None)
+
+    def abandon(self, state: Floats, joint: Floats) -> dict[str, Floats]:
+        """Give up the window: its newest keyframe is where dead reckoning says, and as surely.
+
+        Returns the last weights of all factors that are lost.
+        """
+        window = self.window
+        dropped = window.drop(window.newest)
+        for table in window.tables.values():
+            table.take_back()
+        window.states.view[0] = state
+        joint = 0.5 * (joint + joint.T)
+        root = np.linalg.inv(np.linalg.cholesky(joint))
+        window.prior = prior_table(state, self.calibration, root)
+        self._posterior = Posterior(window.newest, self.calibration, root, joint.copy())
+        self.last_whole = None
+        return dropped
+
     def update(self, dirty: int | None, joint: Floats, moved: Floats) -> dict[str, Floats]:
         """Smooth from the oldest keyframe with a new factor, `dirty`, on.
 
@@ -164,7 +202,6 @@ class WindowSmoother:
         by sensor.
         """
         window, solved = self.window, self.posterior
-        assert solved is not None
         self._since_whole += window.newest - solved.number
         judging = (joint, moved, self._gates)
         # A long window is linearised anew the more seldom, so that the effort stays the same.
@@ -183,25 +220,28 @@ class WindowSmoother:
         self._explore()
         return self._slide()
 
+    def strain(self) -> float:
+        """Return the mean cost of fixes and cameras in the last pass over the whole window."""
+        last = self.last_whole
+        return 0.0 if last is None else mean_cost(last.tables, last.squared)
+
     def _explore(self) -> None:
         """Look for a better minimum where the fixes are missed, the more seldom the more in vain.
 
         Until enough fixes have come since the heading was lost the window does not slide: what
         it would be summed up to might be wrong.
         """
-        last = self.last_whole
-        assert last is not None
         fixes = sum(t.added for t in self.window.tables.values() if t.kind in ARBITERS)
         self._lost = max(self._lost - max(fixes - self._fixes, 0), 0)
         new, self._fixes = fixes > self._fixes, fixes
-        if not new or mean_cost(last.tables, last.squared) < STRAINED:
+        if not new or self.strain() < STRAINED:
             return
         self._wait -= 1
         if self._wait > 0:
             return
         self._repair()
         self._whole(None)
-        if mean_cost(last.tables, last.squared) < STRAINED:
+        if self.strain() < STRAINED:
             self._pause = 1
         else:
             self._pause *= 2
@@ -212,15 +252,12 @@ class WindowSmoother:
     ) -> Pass | None:
         """Take one step and note what the new measurements' innovations were."""
         step, judged = run_pass(self.window, begin, prior, self.calibration, forward, judging)
-        for one in judged:
-            count = self.nis.setdefault(one.table.sensor, [0.0, 0.0])
-            count[0] += float(one.nis.sum())
-            count[1] += one.nis.size * one.table.sqrt_information.view.shape[1]
+        self.judged += judged
         return step
 
     def _accept(self, step: Pass) -> None:
         """Make a step's result the window's."""
-        self.posterior = accept(self.window, step)
+        self._posterior = accept(self.window, step)
         self.calibration = step.calibration
 
     def _whole(self, judging: Judging | None) -> None:
@@ -307,9 +344,7 @@ class WindowSmoother:
 
     def solve_without(self, sensor: str, prior: FactorTable) -> Trial:
         """Solve the window from `prior` without a sensor; the window stays as it is."""
-        others = [
-            t for t in self.window.tables.values() if t.sensor != sensor or t.kind in HIDDEN
-        ]
+        others = [t for t in self.window.tables.values() if t.sensor != sensor or t.kind in HIDDEN]
         point = self._minimum(prior, others, True)
         squared = tuple(rows.squared for rows in point.linear)
         return Trial(point, point.tables, squared, point.u)
@@ -319,7 +354,7 @@ class WindowSmoother:
         window = self.window
         for table in window.tables.values():
             if table.sensor == sensor and table.kind not in HIDDEN:
-                table.retract(np.arange(len(table.first)))
+                table.take_back()
         window.prior = prior
         self._move_to(trial.point)
         self._whole(None)
@@ -331,7 +366,6 @@ class WindowSmoother:
         That is so where fixes are to be had but the heading is not known well yet.
         """
         posterior = self.posterior
-        assert posterior is not None
         fixed = any(t.kind in FIXES and t.added > 1 for t in self.window.tables.values())
         vague = posterior.covariance[2, 2] > SURE**2
         return fixed and (vague or self._lost > 0) and len(self.window.stamps_ns) < LONGEST
@@ -339,7 +373,7 @@ class WindowSmoother:
     def _slide(self) -> dict[str, Floats]:
         """Sum up keyframes older than the lag in a prior; return their factors' last weights."""
         window, lag = self.window, self._settings.lag_s
-        if self._unsettled or not np.isfinite(lag):
+        if self.holding or self._unsettled or not np.isfinite(lag):
             return {}
         oldest = window.number_at(window.stamp(window.newest) - int(lag * 1e9))
         if oldest <= window.base:
@@ -473,16 +507,14 @@ def judge(
         sides[:, :b] = 0.0
         sides[:3, :3] = moved
     by_state = linear.by_second if live.pairwise else linear.by_first
-    columns = [*range(b), *range(b + live.calibration.start, b + live.calibration.stop)]
-    nis = np.empty(new.size)
-    within = sides[np.ix_(columns, columns)]
-    for at, k in enumerate(new):
-        jacobian = np.concatenate([by_state[k], linear.by_calibration[k]], axis=1)
-        innovation = np.eye(jacobian.shape[0]) + jacobian @ within @ jacobian.T
-        r = linear.residual[k]
-        nis[at] = float(r @ np.linalg.solve(innovation, r))
+    own = np.array([*range(b), *range(b + live.calibration.start, b + live.calibration.stop)])
+    jacobian = np.concatenate([by_state[new], linear.by_calibration[new]], axis=2)
+    innovation = jacobian @ sides[np.ix_(own, own)] @ jacobian.swapaxes(1, 2)
+    innovation += np.eye(jacobian.shape[1])
+    r = linear.residual[new]
+    nis = np.einsum("ka,ka->k", r, np.linalg.solve(innovation, r[:, :, None])[:, :, 0])
     weight[new] = np.where(nis > gate, live.loss.weight(nis), 1.0)
-    return Judged(live, nis)
+    return Judged(live, nis, r.shape[1])
 
 
 def run_pass(
@@ -534,9 +566,7 @@ def run_pass(
     step, u = elimination.step, elimination.calibration_step
     moved_states = states + step
     moved_states[:, :3] = compose(states[:, :3], step[:, :3])
-    squared = tuple(
-        _predicted(t, lin, step, u) for t, lin in zip(everything, linear, strict=True)
-    )
+    squared = tuple(_predicted(t, lin, step, u) for t, lin in zip(everything, linear, strict=True))
     return (
         Pass(
             begin,

@@ -94,9 +94,7 @@ class YawStream(Stream):
         self.zero = float("nan")
         self.last_used = -1
         self.root = np.array([[1.0 / sensor.sigma]])
-        self.table = window.table(
-            Kind.YAW, sensor.sensor, (2, 1), place.block, loss, place.slot
-        )
+        self.table = window.table(Kind.YAW, sensor.sensor, (2, 1), place.block, loss, place.slot)
 
     def look(self, begin_ns: int, end_ns: int) -> None:
         """Make the rows of keyframes between two stamps, each reading used once at most."""

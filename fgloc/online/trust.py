@@ -49,7 +49,7 @@ class Trust:
         if not suspects or self._wait > 0:
             self._wait -= 1
             return None
-        before, pulled = _strain(smoother), _stretch(smoother, smoother.calibration)
+        before, pulled = smoother.strain(), _stretch(smoother, smoother.calibration)
         if before < STRAINED and pulled < STRETCHED:
             return None
         for suspect in suspects:
@@ -90,13 +90,8 @@ class Trust:
         b = window.layout.width
         covariance = np.linalg.inv(prior.sqrt_information[0].T @ prior.sqrt_information[0])
         pose = UNSURE * covariance[:b, :b]
-        return first_prior(window, prior.measurements[0, :b], np.linalg.inv(np.linalg.cholesky(pose)))
-
-
-def _strain(smoother: WindowSmoother) -> float:
-    """Return the mean cost of the arbiters in the last whole pass."""
-    last = smoother.last_whole
-    return 0.0 if last is None else mean_cost(last.tables, last.squared)
+        root = np.linalg.inv(np.linalg.cholesky(pose))
+        return first_prior(window, prior.measurements[0, :b], root)
 
 
 def _stretch(smoother: WindowSmoother, calibration: Floats) -> float:

@@ -351,7 +351,9 @@ def eliminate(system: ChainRows) -> Elimination | None:
     pivots = np.abs(np.diag(left))
     if g and not np.all(pivots > SINGULAR * np.abs(left[:, :g]).max()):
         return None
-    calibration = np.linalg.solve(left[:, :g], left[:, g]) if g else np.zeros(0)
+    calibration = np.zeros(g)
+    if g:
+        calibration[:] = np.linalg.solve(left[:, :g], left[:, g])
     step = np.zeros((keyframes, b))
     _substitute(triangular, b, calibration, step)
     if not (np.isfinite(step).all() and np.isfinite(calibration).all()):

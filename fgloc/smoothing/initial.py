@@ -94,12 +94,7 @@ def dead_reckon(displacement: Floats, turn: Floats) -> Floats:
 def _align(
     poses: Floats, keyframes_ns: Stamps, fixes: tuple[PoseFixes | PositionFixes, ...]
 ) -> tuple[Floats, float]:
-    """Return the start pose that brings dead reckoning closest to the first fixes; their extent.
-
-    Closed form (rigid alignment in the plane). Only as many fixes are used as it takes to tell
-    the heading, since dead reckoning bends with time; the lever arms, small beside the drive, are
-    left to the optimiser.
-    """
+    """Return the start pose that brings dead reckoning closest to the first fixes; their extent."""
     indices, points, sigmas = [], [], []
     for fix in fixes:
         inside = np.isin(fix.stamps_ns, keyframes_ns)
@@ -110,15 +105,30 @@ def _align(
     order = np.argsort(np.concatenate(indices), kind="stable")
     a = poses[np.concatenate(indices)[order], :2]
     b, sigma = np.concatenate(points)[order], np.concatenate(sigmas)[order]
-    away = np.hypot(*(b - b[0]).T)
-    far = np.flatnonzero(away > TELLING * sigma)
-    enough = max(FEWEST, int(far[0]) + 1) if far.size else a.shape[0]
-    a, b = a[:enough], b[:enough]
-    ma, mb = a.mean(axis=0), b.mean(axis=0)
-    da, db = a - ma, b - mb
+    enough = telling(b, sigma) or a.shape[0]
+    return align(a[:enough], b[:enough])
+
+
+def telling(fixes: Floats, sigma: Floats) -> int:
+    """Return how many of the first fixes (N, 2), sigmas (N,), tell the heading; 0 if all do not.
+
+    No more than needed are of use, since dead reckoning bends with time.
+    """
+    far = np.flatnonzero(np.hypot(*(fixes - fixes[0]).T) > TELLING * sigma)
+    return min(max(FEWEST, int(far[0]) + 1), fixes.shape[0]) if far.size else 0
+
+
+def align(points: Floats, fixes: Floats) -> tuple[Floats, float]:
+    """Return the pose (3,) that brings points (N, 2) closest to fixes (N, 2), and their extent.
+
+    Closed form (rigid alignment in the plane). Lever arms, small beside the drive, are left to
+    the optimiser.
+    """
+    ma, mb = points.mean(axis=0), fixes.mean(axis=0)
+    da, db = points - ma, fixes - mb
     cross = float(np.sum(da[:, 0] * db[:, 1] - da[:, 1] * db[:, 0]))
     dot = float(np.sum(da * db))
-    angle = float(np.arctan2(cross, dot)) if a.shape[0] > 1 else 0.0
+    angle = float(np.arctan2(cross, dot)) if points.shape[0] > 1 else 0.0
     c, s = np.cos(angle), np.sin(angle)
     origin = mb - np.array([c * ma[0] - s * ma[1], s * ma[0] + c * ma[1]])
     return np.array([origin[0], origin[1], angle]), float(np.abs(db).max(initial=0.0))
