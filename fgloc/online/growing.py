@@ -54,6 +54,17 @@ class GrowingArray:
             self._rows = np.zeros((2 * self._end, *self._rows.shape[1:]), self._rows.dtype)
         self._rows[: self._end] = rows
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a checkpoint needs: the live rows, not the room around them."""
+        return {"rows": self.view, "capacity": self._rows.shape[0]}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Hold the rows of a checkpoint."""
+        rows = state["rows"]
+        self._rows = np.zeros((state["capacity"], *rows.shape[1:]), rows.dtype)
+        self._begin, self._end = 0, rows.shape[0]
+        self._rows[: self._end] = rows
+
     def _make_room(self) -> None:
         """Move the live rows to the front, into a larger array where they fill more than half."""
         live = self.view.copy()
