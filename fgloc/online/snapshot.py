@@ -7,6 +7,7 @@ code. Nothing is pickled, and reading a snapshot runs no code but the package's 
 from __future__ import annotations
 
 import importlib
+import math
 from collections.abc import Mapping
 from enum import Enum
 from types import MethodType
@@ -76,6 +77,10 @@ class Writer:
                 if value and all(type(v) is kind for v in value):
                     numbers = np.array(value, dtype)
                     return ["numbers", numbers.dtype.str, len(value), self._store(numbers)]
+            if len(value) > 1 and _alike(value):
+                # Readings, each looked at on its own: nothing shares or changes them.
+                rows = np.array(value)
+                return ["rows", rows.dtype.str, list(rows.shape), self._store(rows.ravel())]
             return ["list", [self.node(v) for v in value]]
         if type(value) is dict:
             return ["dict", [[self.node(k), self.node(v)] for k, v in value.items()]]
@@ -111,7 +116,7 @@ class Reader:
         if type(node) in PLAIN:
             return node
         tag, *rest = node
-        if tag in ("array", "numbers", "list", "dict", "object"):
+        if tag in ("array", "numbers", "rows", "list", "dict", "object"):
             return self._new(tag, rest)
         if tag == "enum":
             return _class(rest[0])(rest[1])
@@ -134,11 +139,15 @@ class Reader:
         made: Any
         if tag == "array":
             dtype, shape, order, start = rest
-            flat = self._flat(dtype, start, int(np.prod(shape, dtype=np.int64)))
+            flat = self._flat(dtype, start, math.prod(shape))
             made = flat.reshape(shape, order=order)
             self._known.append(made)
         elif tag == "numbers":
             made = self._flat(rest[0], rest[2], rest[1]).tolist()
+            self._known.append(made)
+        elif tag == "rows":
+            dtype, shape, start = rest
+            made = list(self._flat(dtype, start, math.prod(shape)).reshape(shape))
             self._known.append(made)
         elif tag == "list":
             made = []
@@ -169,6 +178,15 @@ class Reader:
         if flat.size != size:
             raise ValueError("an array is cut off")
         return flat.copy()
+
+
+def _alike(values: list[Any]) -> bool:
+    """Return True for a list of arrays of one shape and dtype."""
+    first = values[0]
+    if type(first) is not np.ndarray:
+        return False
+    form = (first.shape, first.dtype)
+    return all(type(v) is np.ndarray and (v.shape, v.dtype) == form for v in values)
 
 
 def _name(cls: type) -> str:
