@@ -406,8 +406,9 @@ class WindowSmoother:
         rows[free:, :free] = root[:, own]
         rows[free:, free:] = root
         rows[free:, free + b : free + b + free] = 0.0
-        triangle = np.linalg.qr(rows, mode="r")[free:, free:]
-        return replace(prior, sqrt_information=np.ascontiguousarray(triangle)[None])
+        triangle = np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
+        left = np.ascontiguousarray(triangle[free:, free:])
+        return replace(prior, sqrt_information=left[None])
 
 
 def prior_table(
