@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -59,13 +59,15 @@ def compare(
     integrator: Integrator = "exact",
     data: Path | None = None,
     progress: Progress | None = None,
+    estimators: Mapping[str, Estimator] | None = None,
 ) -> Comparison:
     """Return the outcome of every method on every drive named.
 
     `drives` may hold patterns (see `fgloc.datasets.registry.expand`). Every drive is read once,
     all of them before the first method runs, so that a file that cannot be read is known at once.
     `fixes` adds sparse position fixes made from the truth; `robot_file` replaces the drives' own
-    description; `progress` is told after each drive and method. Raises FglocError for a drive that
+    description; `progress` is told after each drive and method; `estimators` are taken by method
+    id in place of those with default settings. Raises FglocError for a drive that
     cannot be read, a method that does not exist, or if no method can run on any drive.
     """
     ids = parse(methods)
@@ -81,7 +83,9 @@ def compare(
         seed,
         None if robot_file is None else str(robot_file),
     )
-    return compare_drives(loaded, ids, settings, integrator=integrator, progress=progress)
+    return compare_drives(
+        loaded, ids, settings, integrator=integrator, progress=progress, estimators=estimators
+    )
 
 
 def compare_drives(
@@ -91,20 +95,22 @@ def compare_drives(
     *,
     integrator: Integrator = "exact",
     progress: Progress | None = None,
+    estimators: Mapping[str, Estimator] | None = None,
 ) -> Comparison:
     """Return the outcome of every method on drives that are already read; see `compare`.
 
     A method that cannot run on a drive is skipped there with its reason.
     """
-    estimators = {method: create(method, integrator=integrator) for method in methods}
+    usual = {method: create(method, integrator=integrator) for method in methods}
     if drives:
-        _warm_up(list(estimators.values()), drives[0])
+        _warm_up(list(usual.values()), drives[0])
+    chosen = {**usual, **(estimators or {})}
     outcomes: list[DriveOutcome] = []
     done = 0
     for drive in drives:
         found: dict[str, MethodOutcome] = {}
         skipped: dict[str, str] = {}
-        for method, estimator in estimators.items():
+        for method, estimator in chosen.items():
             try:
                 result = run(estimator, drive)
             except FglocError as error:
@@ -120,7 +126,7 @@ def compare_drives(
             if progress is not None:
                 text = f"{found[method].result.seconds:.2f} s" if method in found else "skipped: "
                 text += skipped.get(method, "")
-                progress(Step(done, len(drives) * len(estimators), drive.name, method, text))
+                progress(Step(done, len(drives) * len(chosen), drive.name, method, text))
         outcomes.append(DriveOutcome(drive, found, skipped))
     if not any(o.methods for o in outcomes):
         raise FglocError(_reasons(outcomes))

@@ -94,9 +94,8 @@ def parse(text: str | Sequence[str]) -> tuple[str, ...]:
     return ids
 
 
-def resolved(method: str, *, integrator: Integrator = "exact") -> dict[str, Any]:
-    """Return every setting of a method, defaults included; {} for one without settings."""
-    estimator = create(method, integrator=integrator)
+def resolved(estimator: Estimator) -> dict[str, Any]:
+    """Return every setting of an estimator, defaults included; {} for one without settings."""
     settings = getattr(estimator, "settings", estimator)
     if not is_dataclass(settings) or isinstance(settings, type):
         return {}

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
+
+import numpy as np
 
 from fgloc.core.drive import Drive
 from fgloc.core.measurements import Floats, Stamps
@@ -70,6 +72,42 @@ class SensorCount:
 
 
 @dataclass(frozen=True)
+class Spread:
+    """What many times were [s]."""
+
+    median: float
+    """Half of them are below."""
+    p99: float
+    """99 % of them are."""
+    maximum: float
+    """All of them are, or equal."""
+
+    @classmethod
+    def of(cls, seconds: Sequence[float]) -> Spread | None:
+        """Return the spread of some times; None of none."""
+        if not seconds:
+            return None
+        median, p99, maximum = np.percentile(seconds, (50.0, 99.0, 100.0)).tolist()
+        return cls(median, p99, maximum)
+
+
+@dataclass(frozen=True)
+class Live:
+    """How an estimator that takes one packet after the other kept up, on this machine's clock."""
+
+    updates: int
+    """Packets after which something was smoothed, since the start of the drive."""
+    update: Spread | None
+    """What such a packet took, in this process."""
+    late: Spread | None = None
+    """How long packets waited for the engine; None unless they came in real time."""
+    save: Spread | None = None
+    """What a checkpoint took; None without."""
+    resumed_poses: int = 0
+    """So many poses are those of an earlier process."""
+
+
+@dataclass(frozen=True)
 class Result:
     """What an estimator returns for one drive."""
 
@@ -93,6 +131,8 @@ class Result:
     """One line on how the optimiser ended; empty for filters."""
     notes: tuple[str, ...] = ()
     """What a user should know about this estimate."""
+    live: Live | None = None
+    """How it kept up; None for methods that see the whole drive at once."""
 
 
 class Estimator(Protocol):

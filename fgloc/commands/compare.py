@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from fgloc.atomic import write_text
 from fgloc.commands.places import check_file, check_folder
+from fgloc.estimator import Estimator
 from fgloc.experiments.compare import Step, compare
 from fgloc.experiments.fixes import parse as parse_fixes
-from fgloc.experiments.methods import resolved
+from fgloc.experiments.methods import create, resolved
 from fgloc.report.outcomes import Comparison
 from fgloc.report.progress import ProgressLines, telling_of_compilation
 from fgloc.report.results_json import comparison_json, dumps
@@ -35,8 +37,11 @@ def compare_with_progress(
     *,
     title: str,
     integrator: Any = "exact",
+    estimators: Mapping[str, Estimator] | None = None,
 ) -> Comparison:
-    """Return the comparison that the options common to `compare` and `smooth` ask for.
+    """Return the comparison that the options common to `compare`, `smooth` and `localise` ask for.
+
+    `estimators` are taken by method id in place of those with default settings.
 
     Raises FglocError before anything is read if --json or --out cannot be written.
     """
@@ -60,10 +65,16 @@ def compare_with_progress(
             integrator=integrator,
             data=args.data,
             progress=tell,
+            estimators=estimators,
         )
 
 
-def report(args: argparse.Namespace, comparison: Comparison, arguments: dict[str, Any]) -> None:
+def report(
+    args: argparse.Namespace,
+    comparison: Comparison,
+    arguments: dict[str, Any],
+    estimators: Mapping[str, Estimator] | None = None,
+) -> None:
     """Write --json and --out, print the tables and where files are.
 
     The tables are printed even if a file cannot be written: the work is done by then.
@@ -79,7 +90,7 @@ def report(args: argparse.Namespace, comparison: Comparison, arguments: dict[str
                     comparison,
                     args.out,
                     args.command,
-                    {**arguments, **_common(args), "settings": _settings(comparison)},
+                    {**arguments, **_common(args), "settings": _settings(comparison, estimators)},
                     progress.step,
                 )
             written.append(f"Report, trajectories and figures: {folder} ({_figures(folder)})")
@@ -101,10 +112,13 @@ def _common(args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _settings(comparison: Comparison) -> dict[str, Any]:
+def _settings(
+    comparison: Comparison, estimators: Mapping[str, Estimator] | None
+) -> dict[str, Any]:
     """Return every setting of every method as it was used, defaults included."""
     integrator: Any = comparison.settings.integrator
-    return {method: resolved(method, integrator=integrator) for method in comparison.methods}
+    usual = {method: create(method, integrator=integrator) for method in comparison.methods}
+    return {method: resolved(e) for method, e in {**usual, **(estimators or {})}.items()}
 
 
 def _figures(folder: Path) -> str:

@@ -146,16 +146,16 @@ def _fingerprint(engine: OnlineEngine) -> dict[str, str]:
     ]
     unknowns = [layout.parameters, layout.places, layout.width, layout.free]
     return {
-        "another robot": _mark([layout.robot, engine.window.resolution]),
-        "other sensors": _mark([sensors, unknowns]),
-        "other settings": _mark(engine.settings),
+        "another robot": mark([layout.robot, engine.window.resolution]),
+        "other sensors": mark([sensors, unknowns]),
+        "other settings": mark(engine.settings),
     }
 
 
-def _mark(value: Any) -> str:
+def mark(value: Any) -> str:
     """Return a hash of everything that a value holds."""
     writer = Writer({})
-    text = json.dumps(writer.node(value)).encode()
-    for name, array in sorted(writer.arrays().items()):
-        text += name.encode() + array.tobytes()
-    return hashlib.sha256(text).hexdigest()
+    digest = hashlib.sha256(json.dumps(writer.node(value)).encode())
+    for _, array in sorted(writer.arrays().items()):
+        digest.update(array.tobytes())
+    return digest.hexdigest()

@@ -85,6 +85,7 @@ class OnlineEngine:
         self.clock = Clock()
         self.aligner: Aligner | None = None
         self.rebuilds = 0
+        self.updates = 0
         self._mark: dict[tuple[str, Kind], int] = {}
         self.left_out: dict[str, str] = {}
         self.sensors = tuple(sensors)
@@ -328,6 +329,7 @@ class OnlineEngine:
         Whatever the solver stumbles over, the newest factors are taken back and counted, and the
         window is solved without them.
         """
+        self.updates += 1
         try:
             dropped = self._smooth()
         except (FglocError, np.linalg.LinAlgError, FloatingPointError):

@@ -9,10 +9,9 @@ import numpy as np
 from fgloc.core.drive import Drive
 from fgloc.core.geometry import compose
 from fgloc.core.start import start_pose, trim_to_truth
-from fgloc.core.trajectory import Trajectory
 from fgloc.estimator import CalibrationEstimate, Result
 from fgloc.online.engine import OnlineEngine, Start
-from fgloc.online.replay import packets
+from fgloc.online.session import ReplayOptions, Session
 from fgloc.online.settings import OnlineSettings
 
 SURPRISING = 4.0
@@ -22,8 +21,11 @@ SURPRISING = 4.0
 class OnlineSmoother:
     """Replays a drive through the online engine; every pose is kept as it was emitted."""
 
-    def __init__(self, settings: OnlineSettings | None = None) -> None:
+    def __init__(
+        self, settings: OnlineSettings | None = None, options: ReplayOptions | None = None
+    ) -> None:
         self.settings = settings if settings is not None else OnlineSettings()
+        self.options = options if options is not None else ReplayOptions()
 
     @property
     def method(self) -> str:
@@ -33,31 +35,19 @@ class OnlineSmoother:
     def estimate(self, drive: Drive) -> Result:
         """Return the poses emitted at every wheel packet, with the last calibration."""
         drive = trim_to_truth(drive)
-        engine = OnlineEngine(
-            drive.robot, drive.sensors, drive.truth, self.settings, drive.wheels.resolution
-        )
-        engine.begin(int(drive.wheels.stamps_ns[0]), start_of(drive))
-        n = drive.wheels.stamps_ns.size
-        poses, covariances = np.zeros((n, 3)), np.zeros((n, 3, 3))
-        poses[0], covariances[0] = engine.propagation.state[:3], engine.propagation.covariance()
-        k = 0
-        for packet in packets(drive):
-            if packet.sensor:
-                engine.reading(packet.sensor, packet.stamp_ns, packet.values, packet.extra)
-                continue
-            engine.wheels(packet.stamp_ns, packet.values, packet.extra)
-            k += 1
-            poses[k] = engine.propagation.state[:3]
-            covariances[k] = engine.propagation.covariance()
+        session = Session(drive, start_of(drive), self.settings, self.options)
+        session.run()
+        engine = session.engine
         engine.finish()
         return Result(
             method=self.method,
             drive=drive.name,
-            trajectory=Trajectory(drive.wheels.stamps_ns, poses, covariances),
+            trajectory=session.track.trajectory(),
             sensors_used=tuple(name for name, t in engine.tally.items() if t.used),
             calibration=_calibration(engine),
             counts={name: t.count() for name, t in engine.tally.items()},
-            notes=tuple(notes(engine)),
+            notes=(*notes(engine), *session.notes),
+            live=session.live,
         )
 
 

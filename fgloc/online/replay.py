@@ -48,10 +48,11 @@ def _columns(sensor: Sensor) -> tuple[Floats, Floats | None] | None:
     return None
 
 
-def packets(drive: Drive) -> Iterator[Packet]:
+def packets(drive: Drive, skip: int = 0) -> Iterator[Packet]:
     """Yield a drive's measurements sorted by stamp, the wheels' last among equal ones.
 
-    What lies before the first wheel stamp is left out: the drive has not begun.
+    What lies before the first wheel stamp is left out: the drive has not begun. So are the first
+    `skip` packets, which an engine that was restored has had.
     """
     wheels = drive.wheels
     streams: list[tuple[str, Floats, Floats | None]] = []
@@ -68,6 +69,7 @@ def packets(drive: Drive) -> Iterator[Packet]:
         index.append(keep)
     when, who, where = np.concatenate(stamps), np.concatenate(source), np.concatenate(index)
     order = np.lexsort((np.where(who == 0, len(streams) + 1, who), when))
+    order = order[skip:]
     for stamp, stream, k in zip(
         when[order].tolist(), who[order].tolist(), where[order].tolist(), strict=True
     ):

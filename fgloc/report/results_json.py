@@ -9,6 +9,7 @@ from typing import Any
 
 from fgloc import __version__
 from fgloc.core.evaluation import Evaluation
+from fgloc.estimator import Live, Spread
 from fgloc.report.outcomes import Comparison, DriveOutcome, MethodOutcome
 
 START = "every method starts from the recorded truth's first pose (the origin without truth)"
@@ -92,6 +93,24 @@ def _method(outcome: MethodOutcome) -> dict[str, Any]:
         "poses": len(result.trajectory),
         "convergence": result.convergence,
         "notes": list(result.notes),
+        "online": None if result.live is None else _live(result.live),
+    }
+
+
+def _live(live: Live) -> dict[str, Any]:
+    """Return how an online method kept up; times in milliseconds."""
+
+    def spread(of: Spread | None) -> dict[str, float] | None:
+        if of is None:
+            return None
+        return {"median": 1e3 * of.median, "p99": 1e3 * of.p99, "max": 1e3 * of.maximum}
+
+    return {
+        "updates": live.updates,
+        "update_ms": spread(live.update),
+        "late_ms": spread(live.late),
+        "checkpoint_ms": spread(live.save),
+        "resumed_poses": live.resumed_poses,
     }
 
 
