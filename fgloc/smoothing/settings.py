@@ -36,6 +36,6 @@ class Settings:
     tolerance: float = 1e-6
     """Stop when an accepted step lowers the cost by less than this fraction."""
     solver: Literal["arrow", "gtsam"] = "arrow"
-    """arrow: specialised elimination of a chain with calibration; gtsam: METIS ordering."""
+    """arrow: specialised elimination of a chain with calibration; gtsam: its general one."""
     covariances: bool = True
     """Compute marginal covariances of all keyframes and the calibration."""
