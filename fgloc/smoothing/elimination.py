@@ -66,7 +66,6 @@ def _add_rows(graph: gtsam.GaussianFactorGraph, system: ChainRows) -> None:
     shared = last + 1
     first, second = system.rows[:, :b], system.rows[:, b : 2 * b]
     border, right = system.rows[:, 2 * b : -1], system.rows[:, -1]
-    factor = gtsam.JacobianFactor
     most = int(np.diff(system.bounds).max())
     units = [gtsam.noiseModel.Unit.Create(n) for n in range(most + 1)]
     ends = system.bounds.tolist()
@@ -77,13 +76,13 @@ def _add_rows(graph: gtsam.GaussianFactorGraph, system: ChainRows) -> None:
         # Spelled out: this loop is most of what a step costs.
         if k < last and border.size:
             c = border[i:j]
-            graph.add(factor(k, first[i:j], k + 1, second[i:j], shared, c, right[i:j], unit))
+            graph.add(k, first[i:j], k + 1, second[i:j], shared, c, right[i:j], unit)
         elif k < last:
-            graph.add(factor(k, first[i:j], k + 1, second[i:j], right[i:j], unit))
+            graph.add(k, first[i:j], k + 1, second[i:j], right[i:j], unit)
         elif border.size:
-            graph.add(factor(k, first[i:j], shared, border[i:j], right[i:j], unit))
+            graph.add(k, first[i:j], shared, border[i:j], right[i:j], unit)
         else:
-            graph.add(factor(k, first[i:j], right[i:j], unit))
+            graph.add(k, first[i:j], right[i:j], unit)
 
 
 def _cyclic_reduction(keyframes: int, shared: bool) -> gtsam.Ordering:
