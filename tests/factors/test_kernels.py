@@ -217,7 +217,8 @@ def test_linearise_whitens_rows_and_finds_its_keyframes(
     kind: Kind, slot: int, g_size: int, m_size: int
 ) -> None:
     rng = np.random.default_rng(SEED)
-    d, width, keyframes, factors = len(COMPONENTS[kind]), 3 if slot < 0 else 5, 9, 6
+    width, keyframes, factors = 3 if slot < 0 else 5, 9, 6
+    d = width + g_size if kind == Kind.STATE_PRIOR else len(COMPONENTS[kind])
     states, calibration = rng.normal(size=(keyframes, width)), rng.normal(size=g_size + 3)
     first = np.array([0, 7, 2, 2, 5, 3], dtype=np.int64)
     table = FactorTable(
