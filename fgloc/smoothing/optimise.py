@@ -9,6 +9,7 @@ import numpy as np
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
 from fgloc.smoothing.arrow import solve
+from fgloc.smoothing.graduate import doubtful, second_look
 from fgloc.smoothing.minimise import CalibrationPrior, Point, linear_system, minimise
 from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.settings import Settings
@@ -34,22 +35,36 @@ class Solution:
 def optimise(problem: Problem, settings: Settings) -> Solution:
     """Return the best trajectory and calibration of a problem.
 
-    First with plain quadratic costs (one basin), then with the robust losses from there.
+    First with plain quadratic costs (one basin), then with the robust losses from there; where
+    the result is doubtful, again by graduation from every plain solution there is.
     Raises FglocError if the system is indeterminate even with the largest damping. Each
     iteration is O(N): one linearisation, one elimination.
     """
-    states, u = problem.states, np.zeros(len(problem.parameters))
+    nominal = np.zeros(len(problem.parameters))
+    states, u = problem.states, nominal
     iterations = 0
-    if (
+    swept = (
         problem.fix_keyframes().size > 1
         and reach(problem, u, problem.prior_covariance, 0.0) < states.shape[0]
-    ):
+    )
+    if swept:
         states, u, iterations = sweep(problem, settings)
     point, more, converged = minimise(problem, settings, states, u, False)
     iterations += more
     if settings.robust:
+        plain = [point]
         point, more, converged = minimise(problem, settings, point.states, point.u, True)
         iterations += more
+        if settings.graduated and doubtful(point):
+            if swept:
+                # Wild fixes lead the sweep astray; all fixes at once at least average them.
+                other, more, _ = minimise(problem, settings, problem.states, nominal, False)
+                iterations += more
+                plain.append(other)
+            found, more, settled = second_look(problem, settings, plain, point)
+            iterations += more
+            if found is not None:
+                point, converged = found, settled
     solution = Solution(point, iterations, converged)
     if not settings.covariances:
         return solution
