@@ -66,8 +66,8 @@ def judged(point: Point) -> float:
 
 def second_look(
     problem: Problem, settings: Settings, plain: Sequence[Point], robust: Point
-) -> tuple[Point | None, int, bool]:
-    """Return a far better robust solution or None, iterations, and whether it converged.
+) -> tuple[Point | None, int]:
+    """Return a far better robust solution, or None, and iterations.
 
     `plain` are least-squares solutions from which to graduate; `robust`, the solution in doubt, is
     itself repaired by forbidding the wheels to be torn. About thirty rounds of one or two
@@ -83,13 +83,11 @@ def second_look(
             iterations += count
         rough = replace(settings, tolerance=SETTLED)
         point, count, _ = minimise(rigid, rough, point.states, point.u, True)
-        point, more, converged = minimise(problem, settings, point.states, point.u, True)
+        point, more, _ = minimise(problem, settings, point.states, point.u, True)
         iterations += count + more
-        candidates.append((point, converged))
-    best, converged = min(candidates, key=lambda c: judged(c[0]))
-    if judged(best) < BETTER * judged(robust):
-        return best, iterations, converged
-    return None, iterations, False
+        candidates.append(point)
+    best = min(candidates, key=judged)
+    return (best if judged(best) < BETTER * judged(robust) else None), iterations
 
 
 def _graduate(problem: Problem, settings: Settings, point: Point) -> tuple[Point, int]:

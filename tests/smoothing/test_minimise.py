@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +11,9 @@ import pytest
 from fgloc.core.measurements import Floats
 from fgloc.core.preintegration import preintegrate
 from fgloc.factors.tables import linearise
+from fgloc.smoothing.arrow import solve
 from fgloc.smoothing.build import build_problem
 from fgloc.smoothing.minimise import CalibrationPrior, Point, linear_system, minimise, roll_out
-from fgloc.smoothing.arrow import solve
 from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.settings import Settings
 
@@ -89,6 +90,6 @@ def test_the_cost_never_rises(solver: str, robust: bool) -> None:
         point, _, _ = minimise(problem, settings, problem.states, u, robust)
         refused += before is not None and point.cost == before.cost
         costs.append(point.cost)
-    assert all(after <= before for before, after in zip(costs, costs[1:], strict=False))
+    assert all(after <= before for before, after in itertools.pairwise(costs))
     assert costs[-1] < 0.5 * costs[0]
     assert refused > 0, "no step was refused: this drive tests nothing"
