@@ -126,15 +126,18 @@ class Problem:
         pre = preintegrate(self.split, self.robot, self.values(u))
         n, f = pre.displacement.shape[0], len(self.free)
         scale = np.array([self.parameters[k].derivative(float(u[k])) for k in range(f)])
-        jacobian = pre.jacobian[:, :, list(self.free)] * scale
+        everything = f == pre.jacobian.shape[2]
+        by_value = pre.jacobian if everything else pre.jacobian[:, :, list(self.free)]
+        rows = np.empty((n, 3 + 3 * f))
+        jacobian = rows[:, 3:].reshape(n, 3, f)  # a view: one axis is cut in two
+        np.multiply(by_value, scale, out=jacobian)
         # The kernel predicts D + J u; shift D so that it is exact at the present u.
-        shifted = pre.displacement - jacobian @ u[:f]
-        rows = np.concatenate([shifted, jacobian.reshape(n, 3 * f)], axis=1)
+        np.subtract(pre.displacement, jacobian @ u[:f], out=rows[:, :3])
         return FactorTable(
             Kind.WHEEL,
             "wheels",
             np.arange(n, dtype=np.int64),
-            np.ascontiguousarray(rows),
+            rows,
             self.whitening(pre) if whitening is None else whitening,
             slice(0, f),
             self.wheel_loss,
