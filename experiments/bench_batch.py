@@ -1,16 +1,19 @@
 """Benchmark: the batch smoother beside GTSAM's own optimizer on the same chain, in one run.
 
-`python -m fgloc.experiments.bench_batch [KEYFRAMES]` drives a simulated differential robot for
-that many keyframes, with one calibration vector and a position fix every hundred keyframes. Each
-contestant runs in a process of its own, so that its peak memory is its own:
+`python -m fgloc.experiments.bench_batch [KEYFRAMES [CONTESTANT ...]]` drives a simulated
+differential robot for that many keyframes, with one calibration vector and a position fix every
+hundred keyframes. Contestants:
 
 - arrow: this project's smoother with its specialised elimination (calibration estimated);
-- gtsam: the same smoother, eliminated by GTSAM with METIS (calibration estimated);
+- gtsam: the same smoother, eliminated by GTSAM (calibration estimated);
 - native: GTSAM's LevenbergMarquardtOptimizer with METIS on BetweenFactorPose2 and
-  PoseTranslationPrior2D, the calibration fixed at nominal (it has no factor for it).
+  PoseTranslationPrior2D, the calibration fixed at that of the first guess (it has no factor
+  for it).
 
-Printed are seconds and peak memory of building the graph and of optimising, and the ratios to
-native. The machine's speed cancels in the ratios.
+All start from the same first guess, the sweep's, which is timed on a line of its own: native could
+not find one. Each runs in a process of its own, so that its peak memory is its own. Printed are
+seconds of building the graph and of optimising, iterations, memory, and ratios to native. The
+machine's speed cancels in the ratios.
 """
 
 from __future__ import annotations
@@ -19,20 +22,24 @@ import json
 import resource
 import subprocess
 import sys
+import tempfile
 import time
+from pathlib import Path
 
 import numpy as np
 
 from fgloc.core.bases import differential
 from fgloc.core.drive import Drive
 from fgloc.core.geometry import EXACT, integrate
-from fgloc.core.measurements import Floats, PositionFixes, WheelIncrements
+from fgloc.core.measurements import PositionFixes, WheelIncrements
 from fgloc.core.robot import Robot
 from fgloc.smoothing.build import build_problem
+from fgloc.smoothing.minimise import minimise
 from fgloc.smoothing.optimise import optimise
-from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.settings import Settings
 from fgloc.smoothing.sweep import sweep
+
+Figures = dict[str, float]
 
 CONTESTANTS = ("arrow", "gtsam", "native")
 FIX_EVERY = 100
@@ -65,50 +72,79 @@ def bench_drive(keyframes: int, seed: int = 0) -> Drive:
     return Drive("bench", Robot.typical("bench", base), wheels, (fixes,))
 
 
-def _ours(drive: Drive, solver: str) -> dict[str, float]:
+def _megabytes() -> float:
+    """Return the peak memory of this process so far [MB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def _guess(drive: Drive, file: Path) -> Figures:
+    """Write the first guess, and what native needs of the graph, for the contestants."""
+    settings = Settings(robust=False, covariances=False)
+    problem = build_problem(drive, settings)
+    sweep(problem.window(0, 2000), settings)  # compile outside the clock
+    begin = time.perf_counter()
+    states, u, iterations = sweep(problem, settings)
+    seconds = time.perf_counter() - begin
+    wheels = problem.wheel_table(u)
+    start, fixes = (
+        next(t for t in problem.tables if t.sensor == name) for name in ("start", "fixes")
+    )
+    np.savez(
+        file,
+        states=states,
+        u=u,
+        displacement=problem.displacement(u),
+        whitening=wheels.sqrt_information,
+        start=start.measurements[0, :3],
+        start_whitening=start.sqrt_information[0],
+        fixed=fixes.first,
+        fixes=fixes.measurements[:, :2],
+    )
+    return {"sweep_s": seconds, "iterations": iterations}
+
+
+def _ours(drive: Drive, solver: str, file: Path) -> Figures:
     """Build and optimise with this project's smoother."""
     settings = Settings(
         robust=False, solver="gtsam" if solver == "gtsam" else "arrow", covariances=False
     )
     # Compile outside the clock, on a beginning of the same drive.
     optimise(build_problem(drive, settings).window(0, 200), settings)
+    with np.load(file) as guess:
+        states, u = guess["states"], guess["u"]
+    before = _megabytes()
     begin = time.perf_counter()
     problem = build_problem(drive, settings)
     built = time.perf_counter()
-    solution = optimise(problem, settings)
+    point, iterations, _ = minimise(problem, settings, states, u, False)
     return {
         "build_s": built - begin,
         "optimise_s": time.perf_counter() - built,
-        "iterations": solution.iterations,
-        "error": solution.point.cost,
+        "iterations": iterations,
+        "error": point.cost,
+        "added_mb": _megabytes() - before,
     }
 
 
-def _native(drive: Drive) -> dict[str, float]:
-    """Build and optimise GTSAM's own factors for the same chain, calibration at nominal."""
+def _native(file: Path) -> Figures:
+    """Build and optimise GTSAM's own factors for the same chain."""
     import gtsam  # heavy: only in this contestant's process
 
-    problem: Problem = build_problem(drive, Settings(robust=False))
-    wheels = problem.wheel_table(np.zeros(len(problem.parameters)))
-    displacement: Floats = wheels.measurements[:, :3]
-    # The smoother finds its own first guess (inside its clock); native is given the same one.
-    guess, _, _ = sweep(problem, Settings(robust=False))
+    with np.load(file) as archive:
+        given = dict(archive)
+    before = _megabytes()
     begin = time.perf_counter()
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    for k, pose in enumerate(guess[:, :3]):
+    for k, pose in enumerate(given["states"][:, :3]):
         values.insert(k, gtsam.Pose2(*pose))
-    for k, d in enumerate(displacement):
-        noise = gtsam.noiseModel.Gaussian.SqrtInformation(wheels.sqrt_information[k])
+    for k, (d, root) in enumerate(zip(given["displacement"], given["whitening"], strict=True)):
+        noise = gtsam.noiseModel.Gaussian.SqrtInformation(root)
         graph.add(gtsam.BetweenFactorPose2(k, k + 1, gtsam.Pose2(*d), noise))
-    for table in problem.tables:
-        if table.sensor == "fixes":
-            noise = gtsam.noiseModel.Isotropic.Sigma(2, FIX_SIGMA)
-            for k, m in zip(table.first.tolist(), table.measurements, strict=True):
-                pose = gtsam.Pose2(m[0], m[1], 0.0)
-                graph.add(gtsam.PoseTranslationPrior2D(k, pose, noise))
-        else:
-            noise = gtsam.noiseModel.Gaussian.SqrtInformation(table.sqrt_information[0])
-            graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*table.measurements[0, :3]), noise))
+    noise = gtsam.noiseModel.Isotropic.Sigma(2, FIX_SIGMA)
+    for k, (x, y) in zip(given["fixed"].tolist(), given["fixes"], strict=True):
+        graph.add(gtsam.PoseTranslationPrior2D(k, gtsam.Pose2(x, y, 0.0), noise))
+    noise = gtsam.noiseModel.Gaussian.SqrtInformation(given["start_whitening"])
+    graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*given["start"]), noise))
     built = time.perf_counter()
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setOrderingType("METIS")
@@ -119,45 +155,68 @@ def _native(drive: Drive) -> dict[str, float]:
         "optimise_s": time.perf_counter() - built,
         "iterations": optimizer.iterations(),
         "error": optimizer.error(),
+        "added_mb": _megabytes() - before,
     }
 
 
-def _contest(name: str, keyframes: int) -> dict[str, float]:
+def _contest(name: str, keyframes: int, file: Path) -> Figures:
     """Run one contestant in this process and return its figures, peak memory included."""
-    drive = bench_drive(keyframes)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    figures = _native(drive) if name == "native" else _ours(drive, name)
-    after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return {**figures, "peak_mb": after / 1024, "added_mb": (after - before) / 1024}
+    if name == "native":
+        figures = _native(file)
+    else:
+        drive = bench_drive(keyframes)
+        figures = _guess(drive, file) if name == "guess" else _ours(drive, name, file)
+    return {**figures, "peak_mb": _megabytes()}
+
+
+def _apart(name: str, keyframes: int, file: Path) -> Figures:
+    """Run one contestant in a process of its own."""
+    program = [sys.executable, "-m", "fgloc.experiments.bench_batch", name, str(keyframes)]
+    done = subprocess.run([*program, str(file)], check=True, capture_output=True, text=True)
+    figures: Figures = json.loads(done.stdout)
+    return figures
+
+
+def _print(keyframes: int, guess: Figures, rows: dict[str, Figures]) -> None:
+    """Print the table; ratios where native took part."""
+    print(f"batch, {keyframes} keyframes, one calibration vector, a fix every {FIX_EVERY}")
+    print(
+        f"first guess of all (sweep): {guess['sweep_s']:.2f} s, {guess['iterations']:.0f} short "
+        f"iterations in windows, peak {guess['peak_mb']:.0f} MB; not in the times below"
+    )
+    print(
+        f"{'':8}{'build s':>9}{'optimise s':>12}{'iterations':>12}{'peak MB':>9}{'added MB':>10}"
+        f"{'time ratio':>12}{'optimise ratio':>16}{'memory ratio':>14}"
+    )
+    native = rows.get("native")
+    for name, row in rows.items():
+        line = (
+            f"{name:8}{row['build_s']:9.2f}{row['optimise_s']:12.2f}{row['iterations']:12.0f}"
+            f"{row['peak_mb']:9.0f}{row['added_mb']:10.0f}"
+        )
+        if native is not None:
+            times = [r["build_s"] + r["optimise_s"] for r in (row, native)]
+            line += (
+                f"{times[0] / times[1]:12.2f}{row['optimise_s'] / native['optimise_s']:16.2f}"
+                f"{row['added_mb'] / native['added_mb']:14.2f}"
+            )
+        print(line)
+    print("time ratio: build + optimise, to native's; optimise ratio: to native's optimise;")
+    print("memory ratio: what building and optimising add to the peak, to native's.")
 
 
 def main(arguments: list[str]) -> int:
-    """Run all contestants and print the table; or one, as JSON, for the parent process."""
-    if len(arguments) == 2 and arguments[0] in CONTESTANTS:
-        print(json.dumps(_contest(arguments[0], int(arguments[1]))))
+    """Run contestants and print the table; or one, as JSON, for the parent process."""
+    if len(arguments) == 3 and arguments[2].endswith(".npz"):
+        print(json.dumps(_contest(arguments[0], int(arguments[1]), Path(arguments[2]))))
         return 0
     keyframes = int(arguments[0]) if arguments else 100_000
-    rows: dict[str, dict[str, float]] = {}
-    for name in CONTESTANTS:
-        command = [sys.executable, "-m", "fgloc.experiments.bench_batch", name, str(keyframes)]
-        done = subprocess.run(command, check=True, capture_output=True, text=True)
-        rows[name] = json.loads(done.stdout)
-    native = rows["native"]
-    total = native["build_s"] + native["optimise_s"]
-    print(f"batch, {keyframes} keyframes, one calibration vector, a fix every {FIX_EVERY}")
-    print(
-        f"{'':8}{'build s':>9}{'optim. s':>10}{'steps':>7}{'peak MB':>9}{'added MB':>10}"
-        f"{'time ratio':>12}{'optim. ratio':>14}{'memory ratio':>14}"
-    )
-    for name, row in rows.items():
-        ours = row["build_s"] + row["optimise_s"]
-        print(
-            f"{name:8}{row['build_s']:9.2f}{row['optimise_s']:10.2f}{row['iterations']:7.0f}"
-            f"{row['peak_mb']:9.0f}{row['added_mb']:10.0f}{ours / total:12.2f}"
-            f"{ours / native['optimise_s']:14.2f}{row['peak_mb'] / native['peak_mb']:14.2f}"
-        )
-    print("time ratio: build + optimise, ours to native; optim. ratio: ours in full to")
-    print("native's optimise alone; memory ratio: peak of the whole process.")
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "guess.npz"
+        guess = _apart("guess", keyframes, file)
+        names = arguments[1:] or CONTESTANTS
+        rows = {name: _apart(name, keyframes, file) for name in names}
+    _print(keyframes, guess, rows)
     return 0
 
 

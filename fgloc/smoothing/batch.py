@@ -69,8 +69,6 @@ def _result(
     used = tuple(name for name, (count, _) in problem.counts.items() if count > 0)
     sizes = {s.sensor: s.stamps_ns.size for s in drive.sensors}
     unused = {name: SensorCount(0, 0, sizes[name]) for name in left_out}
-    ended = "converged" if solution.converged else "did NOT converge"
-    cost = solution.point.cost
     notes = [*problem.notes, *left_out.values()]
     missed = strain(solution)
     if missed > STRAINED:
@@ -94,9 +92,19 @@ def _result(
         calibration=_calibration(problem, solution),
         residuals=_residuals(problem, solution),
         counts={**counts, **unused},
-        convergence=f"{ended} after {solution.iterations} iterations, cost {cost:.6g}",
+        convergence=_convergence(solution),
         notes=tuple(notes),
     )
+
+
+def _convergence(solution: Solution) -> str:
+    """Return iterations, cost, why the optimiser stopped and what another step would move."""
+    ended = "converged" if solution.converged else "did NOT converge"
+    cost = solution.point.cost
+    text = f"{ended} after {solution.iterations} iterations, cost {cost:.6g}: {solution.stopped}"
+    if solution.next_step is not None:
+        text += f", the next step is {solution.next_step:.1g} sigma at most"
+    return text
 
 
 def _calibration(problem: Problem, solution: Solution) -> tuple[CalibrationEstimate, ...]:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fgloc.core.geometry import chain, compose
+from fgloc.core.compiled import compiled
+from fgloc.core.geometry import compose, compose_scalar
 from fgloc.core.measurements import Floats
 from fgloc.factors.tables import FactorTable, Linearised, linearise
 from fgloc.smoothing.arrow import ArrowSolution, ChainRows, solve, stack
@@ -90,18 +91,8 @@ def _step(
     prior: CalibrationPrior, point: Point, damping: float, solver: str
 ) -> ArrowSolution | None:
     """Solve for one step with the chosen linear solver."""
-    if solver == "arrow":
-        return solve(linear_system(prior, point), damping)
-    extra = None
-    if damping > 0.0:
-        by_keyframe, by_calibration = linear_system(prior, point).squared_norms()
-        extra = np.sqrt(damping * np.concatenate([by_keyframe.ravel(), by_calibration]))
-    linear = list(zip(point.tables, point.linear, point.weights, strict=True))
-    # Only the sweep's windows have a prior between blocks, and they use the arrow solver.
-    root = prior.root
-    offset = root @ (point.u - prior.mean)
-    keyframes, width = point.states.shape
-    return solve_with_gtsam(linear, keyframes, width, (root, offset), extra)
+    system = linear_system(prior, point)
+    return solve(system, damping) if solver == "arrow" else solve_with_gtsam(system, damping)
 
 
 def retract(point: Point, step: ArrowSolution, _: FactorTable) -> Floats:
@@ -120,19 +111,61 @@ def roll_out(point: Point, step: ArrowSolution, wheels: FactorTable) -> Floats:
     prevent that would take a hundred iterations. (The forward pass of iterative LQR.)
     """
     rows = point.linear[0]
-    first, second = step.step[:-1], step.step[1:]
-    left = rows.residual + np.einsum("kab,kb->ka", rows.by_first, first)
-    left += np.einsum("kab,kb->ka", rows.by_second, second)
-    left += rows.by_calibration @ step.calibration_step[point.tables[0].calibration]
-    unwhitened = np.linalg.solve(point.tables[0].sqrt_information, left[:, :, None])[:, :, 0]
     free = wheels.calibration.stop
-    jacobian = wheels.measurements[:, 3:].reshape(wheels.first.size, 3, free)
-    at = point.u[:free] + step.calibration_step[:free]
-    displacement = wheels.measurements[:, :3] + jacobian @ at + unwhitened
     moved = point.states + step.step
-    start = compose(point.states[0, :3], step.step[0, :3])
-    moved[:, :3] = chain(displacement, start)
+    moved[0, :3] = compose(point.states[0, :3], step.step[0, :3])
+    _drive(
+        rows.residual,
+        rows.by_first,
+        rows.by_second,
+        rows.by_calibration,
+        point.tables[0].sqrt_information,
+        wheels.measurements,
+        point.u[:free] + step.calibration_step[:free],
+        step.step,
+        step.calibration_step[:free],
+        moved,
+    )
     return moved
+
+
+@compiled
+def _drive(
+    residual: Floats,
+    by_first: Floats,
+    by_second: Floats,
+    by_calibration: Floats,
+    whitening: Floats,
+    measurements: Floats,
+    at: Floats,
+    step: Floats,
+    calibration_step: Floats,
+    states: Floats,
+) -> None:
+    """Write the poses in `states` (K, B) one after the other, beginning with the first one.
+
+    The arguments are those of the wheels' table: its linearisation, lower triangular whitening,
+    and measurements at the new calibration `at`.
+    """
+    b, f = step.shape[1], at.size
+    left = np.empty(3)
+    for k in range(residual.shape[0]):
+        for a in range(3):
+            v = residual[k, a]
+            for c in range(b):
+                v += by_first[k, a, c] * step[k, c] + by_second[k, a, c] * step[k + 1, c]
+            for c in range(f):
+                v += by_calibration[k, a, c] * calibration_step[c]
+            # Forward substitution undoes the whitening.
+            for c in range(a):
+                v -= whitening[k, a, c] * left[c]
+            left[a] = v / whitening[k, a, a]
+        for a in range(3):
+            left[a] += measurements[k, a]
+            for c in range(f):
+                left[a] += measurements[k, 3 + a * f + c] * at[c]
+        # Only the pose: a sensor's drifting zero, further on in the state, moves by its own step.
+        compose_scalar(states[k], left, states[k + 1])
 
 
 def minimise(

@@ -8,7 +8,8 @@ import numpy as np
 
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
-from fgloc.smoothing.arrow import solve
+from fgloc.smoothing.arrow import ArrowSolution, solve
+from fgloc.smoothing.graduate import doubtful, second_look
 from fgloc.smoothing.minimise import CalibrationPrior, Point, linear_system, minimise
 from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.settings import Settings
@@ -25,32 +26,56 @@ class Solution:
     """Steps tried, those of the first guess included."""
     converged: bool
     """False if the iteration limit or the damping limit was reached."""
+    stopped: str
+    """Why the last run stopped, in words."""
     covariance: Floats | None = None
     """(K, B, B) marginal covariances in keyframe axes."""
     calibration_covariance: Floats | None = None
     """(G, G) covariance of u."""
+    next_step: float | None = None
+    """Largest component of the step that would come next, in its own marginal sigmas: what is
+    left to gain. Known where covariances are."""
 
 
 def optimise(problem: Problem, settings: Settings) -> Solution:
     """Return the best trajectory and calibration of a problem.
 
-    First with plain quadratic costs (one basin), then with the robust losses from there.
+    First with plain quadratic costs (one basin), then with the robust losses from there; where
+    the result is doubtful, again by graduation from every plain solution there is.
     Raises FglocError if the system is indeterminate even with the largest damping. Each
     iteration is O(N): one linearisation, one elimination.
     """
-    states, u = problem.states, np.zeros(len(problem.parameters))
+    nominal = np.zeros(len(problem.parameters))
+    states, u = problem.states, nominal
     iterations = 0
-    if (
+    swept = (
         problem.fix_keyframes().size > 1
         and reach(problem, u, problem.prior_covariance, 0.0) < states.shape[0]
-    ):
+    )
+    if swept:
         states, u, iterations = sweep(problem, settings)
-    point, more, converged = minimise(problem, settings, states, u, False)
-    iterations += more
+    point, last, converged = minimise(problem, settings, states, u, False)
+    iterations += last
     if settings.robust:
-        point, more, converged = minimise(problem, settings, point.states, point.u, True)
-        iterations += more
-    solution = Solution(point, iterations, converged)
+        plain = [point]
+        point, last, converged = minimise(problem, settings, point.states, point.u, True)
+        iterations += last
+        if settings.graduated and doubtful(point):
+            if swept:
+                # Wild fixes lead the sweep astray; all fixes at once at least average them.
+                other, more, _ = minimise(problem, settings, problem.states, nominal, False)
+                iterations += more
+                plain.append(other)
+            found, more = second_look(problem, settings, plain, point)
+            iterations += more
+            if found is not None:
+                point, last, converged = minimise(problem, settings, found.states, found.u, True)
+                iterations += last
+    stopped = "the cost falls no further"
+    if not converged:
+        reached = last >= settings.max_iterations
+        stopped = "the iteration limit was reached" if reached else "no step lowers the cost"
+    solution = Solution(point, iterations, converged, stopped)
     if not settings.covariances:
         return solution
     final = solve(linear_system(CalibrationPrior.of(problem), point), 0.0, with_covariance=True)
@@ -63,4 +88,21 @@ def optimise(problem: Problem, settings: Settings) -> Solution:
         solution,
         covariance=final.covariance,
         calibration_covariance=final.calibration_covariance,
+        next_step=_in_sigmas(final),
+    )
+
+
+def _in_sigmas(final: ArrowSolution) -> float | None:
+    """Return the largest component of a step in marginal sigmas."""
+    if final.covariance is None or final.calibration_covariance is None:
+        return None
+    variance = np.diagonal(final.covariance, axis1=1, axis2=2)
+    shared = np.diag(final.calibration_covariance)
+    return float(
+        np.sqrt(
+            max(
+                np.max(final.step**2 / variance),
+                np.max(final.calibration_step**2 / shared, initial=0.0),
+            )
+        )
     )

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fgloc.core.compiled import compiled
 from fgloc.core.geometry import rotate_covariance
 from fgloc.core.kinematics import Parameter, prior_correlation
 from fgloc.core.measurements import Floats, Stamps
@@ -125,15 +126,18 @@ class Problem:
         pre = preintegrate(self.split, self.robot, self.values(u))
         n, f = pre.displacement.shape[0], len(self.free)
         scale = np.array([self.parameters[k].derivative(float(u[k])) for k in range(f)])
-        jacobian = pre.jacobian[:, :, list(self.free)] * scale
+        everything = f == pre.jacobian.shape[2]
+        by_value = pre.jacobian if everything else pre.jacobian[:, :, list(self.free)]
+        rows = np.empty((n, 3 + 3 * f))
+        jacobian = rows[:, 3:].reshape(n, 3, f)  # a view: one axis is cut in two
+        np.multiply(by_value, scale, out=jacobian)
         # The kernel predicts D + J u; shift D so that it is exact at the present u.
-        shifted = pre.displacement - jacobian @ u[:f]
-        rows = np.concatenate([shifted, jacobian.reshape(n, 3 * f)], axis=1)
+        np.subtract(pre.displacement, jacobian @ u[:f], out=rows[:, :3])
         return FactorTable(
             Kind.WHEEL,
             "wheels",
             np.arange(n, dtype=np.int64),
-            np.ascontiguousarray(rows),
+            rows,
             self.whitening(pre) if whitening is None else whitening,
             slice(0, f),
             self.wheel_loss,
@@ -141,8 +145,33 @@ class Problem:
 
     @staticmethod
     def whitening(pre: Preintegrated) -> Floats:
-        """Return (K-1, 3, 3) square-root information of the wheel displacements."""
-        return np.ascontiguousarray(np.linalg.inv(np.linalg.cholesky(pre.covariance)))
+        """Return (K-1, 3, 3) lower triangular square-root information of the displacements.
+
+        Raises LinAlgError where a covariance is not positive definite.
+        """
+        out = np.zeros_like(pre.covariance)
+        if not _inverse_cholesky(pre.covariance, out):
+            raise np.linalg.LinAlgError("a wheel displacement's covariance is not positive")
+        return out
+
+
+@compiled
+def _inverse_cholesky(covariance: Floats, out: Floats) -> bool:
+    """Write L⁻¹ of each P = L Lᵀ (K, 3, 3) into `out` (zeros); False if one is not positive."""
+    for k in range(covariance.shape[0]):
+        p, w = covariance[k], out[k]
+        l00 = np.sqrt(p[0, 0])
+        l10, l20 = p[1, 0] / l00, p[2, 0] / l00
+        l11 = np.sqrt(p[1, 1] - l10 * l10)
+        l21 = (p[2, 1] - l20 * l10) / l11
+        l22 = np.sqrt(p[2, 2] - l20 * l20 - l21 * l21)
+        if not (l00 > 0.0 and l11 > 0.0 and l22 > 0.0 and l00 + l11 + l22 < np.inf):
+            return False
+        w[0, 0], w[1, 1], w[2, 2] = 1.0 / l00, 1.0 / l11, 1.0 / l22
+        w[1, 0] = -l10 * w[0, 0] * w[1, 1]
+        w[2, 1] = -l21 * w[1, 1] * w[2, 2]
+        w[2, 0] = -(l20 * w[0, 0] + l21 * w[1, 0]) * w[2, 2]
+    return True
 
 
 def diagonal(sigma: Floats) -> Floats:

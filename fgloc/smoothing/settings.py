@@ -31,11 +31,14 @@ class Settings:
     """Loss of position and pose fixes: reflections and wrong matches."""
     robust: bool = True
     """Apply the losses; False trusts every measurement alike."""
+    graduated: bool = True
+    """Where robust losses gave up many fixes or tore the wheels, look again by graduated
+    non-convexity; costs nothing elsewhere."""
     max_iterations: int = 50
     """Limit of linearisations in each of the two phases (plain, then robust)."""
     tolerance: float = 1e-6
     """Stop when an accepted step lowers the cost by less than this fraction."""
     solver: Literal["arrow", "gtsam"] = "arrow"
-    """arrow: specialised elimination of a chain with calibration; gtsam: METIS ordering."""
+    """arrow: specialised elimination of a chain with calibration; gtsam: its general one."""
     covariances: bool = True
     """Compute marginal covariances of all keyframes and the calibration."""

@@ -13,7 +13,7 @@ from fgloc.datasets.simulator import load_sim
 from fgloc.factors.tables import FactorTable, Linearised, linearise
 from fgloc.smoothing.arrow import ArrowSolution, ChainRows, solve, stack
 from fgloc.smoothing.build import build_problem
-from fgloc.smoothing.elimination import solve_with_gtsam
+from fgloc.smoothing.elimination import _add_rows, solve_with_gtsam
 from fgloc.smoothing.settings import Settings
 
 SIZES = [(1, 3, 2), (1, 1, 1), (2, 3, 0), (5, 3, 4), (7, 5, 3), (30, 4, 9), (3, 6, 25)]
@@ -68,6 +68,45 @@ def test_step_is_that_of_a_dense_solve(k: int, b: int, g: int, damping: float) -
     )
     # The rows are the caller's: solving must leave them as they were.
     np.testing.assert_array_equal(system.rows, before)
+
+
+@pytest.mark.parametrize(("k", "b", "g"), SIZES)
+@pytest.mark.parametrize("damping", [0.0, 10.0])
+def test_gtsams_step_is_that_of_a_dense_solve(k: int, b: int, g: int, damping: float) -> None:
+    system = random_system(k, b, g)
+    matrix, right = dense(system)
+    normal = matrix.T @ matrix
+    damped = normal + damping * np.diag(np.diag(normal))
+    solution = solve_with_gtsam(system, damping)
+    assert solution is not None
+    np.testing.assert_allclose(
+        flat(solution), np.linalg.solve(damped, matrix.T @ right), rtol=1e-8, atol=1e-10
+    )
+
+
+def ill_conditioned() -> ChainRows:
+    """Return two keyframes whose normal equations have no digits left, though the rows have."""
+    e = 1e-9
+    rows = np.array([[1.0, 1.0, 0.0, 0.0, 2.0], [1.0, 1.0 + e, 0.0, 0.0, 2.0 + e]])
+    tie = np.array([[-1.0, 0.0, 1.0, 0.0, 0.0], [0.0, -1.0, 0.0, 1.0, 0.0]])
+    return ChainRows(np.concatenate([rows, tie]), np.array([0, 4, 4]), 2, np.zeros((0, 1)))
+
+
+def test_where_cholesky_fails_qr_steps_in() -> None:
+    system = ill_conditioned()
+    graph = gtsam.GaussianFactorGraph()
+    _add_rows(graph, system)
+    with pytest.raises(RuntimeError, match="Indeterminate"):
+        graph.eliminateMultifrontal(gtsam.Ordering([0, 1]))
+    solution = solve_with_gtsam(system)
+    assert solution is not None
+    np.testing.assert_allclose(solution.step, 1.0, atol=1e-5)
+
+
+def test_gtsam_tells_a_free_chain() -> None:
+    relative = np.concatenate([-np.eye(2), np.eye(2), np.zeros((2, 1))], axis=1)
+    rows, bounds = np.tile(relative, (3, 1)), np.array([0, 2, 4, 6, 6])
+    assert solve_with_gtsam(ChainRows(rows, bounds, 2, np.zeros((0, 1)))) is None
 
 
 @pytest.mark.parametrize(("k", "b", "g"), SIZES)
@@ -159,12 +198,8 @@ def graph() -> Graph:
 
 @pytest.mark.parametrize("damping", [0.0, 1e-4, 1.0])
 def test_gtsam_takes_the_same_step(graph: Graph, damping: float) -> None:
-    k, b = graph.system.bounds.size - 1, graph.system.width
     ours = solve(graph.system, damping)
-    extra = None
-    if damping > 0.0:
-        extra = np.sqrt(damping) * np.linalg.norm(dense(graph.system)[0], axis=0)
-    theirs = solve_with_gtsam(graph.linear, k, b, graph.prior, extra)
+    theirs = solve_with_gtsam(graph.system, damping)
     assert ours is not None
     assert theirs is not None
     scale = np.abs(ours.step).max(axis=0)

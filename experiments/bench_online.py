@@ -1,0 +1,160 @@
+"""Benchmark: the online engine, update by update, beside GTSAM's own fixed-lag smoother.
+
+`python -m fgloc.experiments.bench_online [KEYFRAMES]` drives a simulated differential robot for
+that many keyframes at 10 Hz, with a position fix every second and a window of 30 s. Each
+contestant runs in a process of its own:
+
+- online: this project's engine as `fgloc localise` runs it, calibration estimated;
+- native: GTSAM's IncrementalFixedLagSmoother on BetweenFactorPose2 and PoseTranslationPrior2D,
+  QR, relinearised as the design asks for, the calibration fixed at nominal.
+
+Printed are the time of an update (everything between a wheel packet and the pose for it, keyframe
+included), its growth from the first tenth to the last, the memory that the drive added, and the
+ratio of the medians. The first 600 keyframes are left out: the window fills, code is loaded.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from fgloc.core.drive import Drive
+from fgloc.core.measurements import Floats
+from fgloc.experiments.bench_batch import FIX_SIGMA, bench_drive
+from fgloc.online.engine import OnlineEngine
+from fgloc.online.online import start_of
+from fgloc.online.replay import packets
+from fgloc.online.settings import OnlineSettings
+from fgloc.smoothing.build import build_problem
+from fgloc.smoothing.settings import Settings
+
+CONTESTANTS = ("online", "native")
+FIX_EVERY = 10
+SETTLE = 600
+LAG_S = 30.0
+
+
+def _online(drive: Drive) -> Floats:
+    """Return the seconds (K,) that the engine took for each keyframe."""
+    engine = OnlineEngine(
+        drive.robot, drive.sensors, drive.truth, OnlineSettings(lag_s=LAG_S), 0.0
+    )
+    engine.begin(int(drive.wheels.stamps_ns[0]), start_of(drive))
+    seconds = np.zeros(drive.wheels.angles.shape[0])
+    k = 0
+    for packet in packets(drive):
+        begin = time.perf_counter()
+        if packet.sensor:
+            engine.reading(packet.sensor, packet.stamp_ns, packet.values, packet.extra)
+        else:
+            engine.wheels(packet.stamp_ns, packet.values, packet.extra)
+            engine.propagation.covariance()
+        seconds[k] += time.perf_counter() - begin
+        k += not packet.sensor
+    return seconds
+
+
+def _native(drive: Drive) -> Floats:
+    """Return the seconds (K,) that GTSAM's fixed-lag smoother took for each keyframe."""
+    import gtsam  # heavy: only in this contestant's process
+
+    problem = build_problem(drive, Settings(robust=False))
+    wheels = problem.wheel_table(np.zeros(len(problem.parameters)))
+    displacement = wheels.measurements[:, :3]
+    fixes = {
+        int(k): m
+        for t in problem.tables
+        if t.sensor == "fixes"
+        for k, m in zip(t.first, t.measurements, strict=True)
+    }
+    parameters = gtsam.ISAM2Params()
+    parameters.setFactorization("QR")
+    parameters.setRelinearizeThreshold(0.01)
+    parameters.relinearizeSkip = 10
+    parameters.findUnusedFactorSlots = True
+    smoother = gtsam.IncrementalFixedLagSmoother(LAG_S, parameters)
+    noise = gtsam.noiseModel.Isotropic.Sigma(2, FIX_SIGMA)
+    pose = gtsam.Pose2(*problem.states[0, :3])
+    seconds = np.zeros(displacement.shape[0])
+    for k in range(displacement.shape[0] + 1):
+        begin = time.perf_counter()
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        stamps = gtsam.FixedLagSmootherKeyTimestampMap()
+        if k == 0:
+            tight = gtsam.noiseModel.Isotropic.Sigma(3, 1e-3)
+            graph.add(gtsam.PriorFactorPose2(0, pose, tight))
+        else:
+            step = gtsam.Pose2(*displacement[k - 1])
+            model = gtsam.noiseModel.Gaussian.SqrtInformation(wheels.sqrt_information[k - 1])
+            graph.add(gtsam.BetweenFactorPose2(k - 1, k, step, model))
+            pose = pose.compose(step)
+        if k in fixes:
+            at = gtsam.Pose2(fixes[k][0], fixes[k][1], 0.0)
+            graph.add(gtsam.PoseTranslationPrior2D(k, at, noise))
+        values.insert(k, pose)
+        stamps.insert((k, 0.1 * k))
+        smoother.update(graph, values, stamps)
+        pose = smoother.calculateEstimatePose2(k)
+        smoother.getISAM2().marginalCovariance(k)
+        if k:
+            seconds[k - 1] = time.perf_counter() - begin
+    return seconds
+
+
+RUN: dict[str, Callable[[Drive], Floats]] = {"online": _online, "native": _native}
+
+
+def _contest(name: str, keyframes: int) -> dict[str, float]:
+    """Run one contestant in this process and return its figures."""
+    drive = bench_drive(keyframes, fix_every=FIX_EVERY)
+    RUN[name](bench_drive(SETTLE, fix_every=FIX_EVERY))  # loads and compiles outside the clock
+    gc.collect()
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    seconds = RUN[name](drive)[SETTLE:] * 1e3
+    after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    tenth = seconds.size // 10
+    first, last = seconds[:tenth], seconds[-tenth:]
+    return {
+        "median_ms": float(np.median(seconds)),
+        "p99_ms": float(np.quantile(seconds, 0.99)),
+        "max_ms": float(seconds.max()),
+        "mean_ms": float(seconds.mean()),
+        "growth": float(last.mean() / first.mean()),
+        "added_mb": (after - before) / 1024,
+    }
+
+
+def main(arguments: list[str]) -> int:
+    """Run all contestants and print the table; or one, as JSON, for the parent process."""
+    if len(arguments) == 2 and arguments[0] in CONTESTANTS:
+        print(json.dumps(_contest(arguments[0], int(arguments[1]))))
+        return 0
+    keyframes = int(arguments[0]) if arguments else 50_000
+    print(f"online, {keyframes} keyframes at 10 Hz, a fix every second, window {LAG_S:g} s")
+    print(
+        f"{'':8}{'median ms':>11}{'p99 ms':>9}{'max ms':>9}{'mean ms':>9}{'last/first tenth':>18}"
+        f"{'added MB':>10}{'median ratio':>14}"
+    )
+    rows = {}
+    for name in CONTESTANTS:
+        command = [sys.executable, "-m", "fgloc.experiments.bench_online", name, str(keyframes)]
+        done = subprocess.run(command, check=True, capture_output=True, text=True)
+        rows[name] = json.loads(done.stdout)
+    for name, row in rows.items():
+        print(
+            f"{name:8}{row['median_ms']:11.3f}{row['p99_ms']:9.3f}{row['max_ms']:9.2f}"
+            f"{row['mean_ms']:9.3f}{row['growth']:18.2f}{row['added_mb']:10.1f}"
+            f"{row['median_ms'] / rows['native']['median_ms']:14.2f}"
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
