@@ -83,6 +83,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--debug", action="store_true", help="show where an error came from")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     _smooth(commands)
+    _localise(commands)
     _compare(commands)
     _simulate(commands)
     _datasets(commands)
@@ -104,12 +105,51 @@ def _smooth(commands: Commands[argparse.ArgumentParser]) -> None:
     )
     parser.add_argument("drive", metavar="DRIVE", help=DRIVE)
     _fix_options(parser)
-    parser.add_argument(
-        "--save",
-        metavar="FILE",
-        type=_trajectory_file,
-        help="write the trajectory; .tum, .kitti, .g2o or .npz",
+    _save_option(parser)
+    _robot_option(parser)
+    _common(parser, "data", "json", "out")
+
+
+def _localise(commands: Commands[argparse.ArgumentParser]) -> None:
+    """Add `fgloc localise`."""
+    parser = _command(
+        commands,
+        "localise",
+        "run the online engine on one drive, as it would have run live",
+        "fgloc localise sim:demo --save track.tum",
+        "fgloc localise run.log --realtime --checkpoint state --resume",
     )
+    parser.add_argument("drive", metavar="DRIVE", help=DRIVE)
+    parser.add_argument(
+        "--lag",
+        metavar="S",
+        type=_lag,
+        default="30",
+        help="seconds that can still be corrected, or full for the whole drive (default: 30)",
+    )
+    parser.add_argument(
+        "--realtime",
+        metavar="SPEED",
+        type=_positive,
+        nargs="?",
+        const=1.0,
+        help="hand measurements over when their time has come, SPEED times faster (default: 1)",
+    )
+    parser.add_argument(
+        "--checkpoint", metavar="DIR", type=Path, help="save the state and the poses in DIR"
+    )
+    parser.add_argument(
+        "--every",
+        metavar="S",
+        type=_positive,
+        default=1.0,
+        help="seconds of the drive between two checkpoints (default: 1)",
+    )
+    parser.add_argument(
+        "--resume", action="store_true", help="go on from the checkpoint, where there is one"
+    )
+    _fix_options(parser)
+    _save_option(parser)
     _robot_option(parser)
     _common(parser, "data", "json", "out")
 
@@ -229,6 +269,16 @@ def _common(parser: argparse.ArgumentParser, *names: str) -> None:
     parser.set_defaults(**{name: None for name in helps if name not in names})
 
 
+def _save_option(parser: argparse.ArgumentParser) -> None:
+    """Add --save."""
+    parser.add_argument(
+        "--save",
+        metavar="FILE",
+        type=_trajectory_file,
+        help="write the trajectory; .tum, .kitti, .g2o or .npz",
+    )
+
+
 def _robot_option(parser: argparse.ArgumentParser) -> None:
     """Add --robot."""
     parser.add_argument(
@@ -262,6 +312,24 @@ def _fixes(text: str) -> str:
         raise argparse.ArgumentTypeError(
             f"{text!r} is not EVERY_S[:SIGMA_M], one or two positive numbers such as 10:0.002"
         )
+    return text
+
+
+def _positive(text: str) -> float:
+    """Return a positive number."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not (math.isfinite(number) and number > 0.0):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+    return number
+
+
+def _lag(text: str) -> str:
+    """Return the text of --lag if it is a positive number or "full"; the handler reads it."""
+    if text != "full":
+        _positive(text)
     return text
 
 

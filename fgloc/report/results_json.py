@@ -45,8 +45,8 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
 
 
 def dumps(document: dict[str, Any]) -> str:
-    """Return JSON text with a line end; numbers keep all digits, NaN must be gone already."""
-    return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    """Return JSON text with a line end; numbers keep all digits, NaN and infinity become null."""
+    return json.dumps(_finite(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _drive(outcome: DriveOutcome) -> dict[str, Any]:
