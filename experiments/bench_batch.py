@@ -47,8 +47,11 @@ FIX_SIGMA = 0.02
 PERIOD_NS = 100_000_000
 
 
-def bench_drive(keyframes: int, seed: int = 0) -> Drive:
-    """Return a wandering differential drive of `keyframes` wheel packets, 1 % off calibration."""
+def bench_drive(keyframes: int, seed: int = 0, fix_every: int = FIX_EVERY) -> Drive:
+    """Return a wandering differential drive of `keyframes` wheel packets, 1 % off calibration.
+
+    With a position fix at every `fix_every`-th packet.
+    """
     rng = np.random.default_rng(seed)
     base = differential(0.05, 0.05, 0.3)
     true = np.array([0.0503, 0.0499, 0.303])
@@ -61,7 +64,7 @@ def bench_drive(keyframes: int, seed: int = 0) -> Drive:
     poses = integrate(base.displacements(angles, None, true), np.zeros(3), EXACT)
     angles += rng.normal(0.0, 0.004, angles.shape) * np.sqrt(0.05 * np.abs(angles)) / 0.05
     stamps = np.arange(keyframes, dtype=np.int64) * PERIOD_NS
-    at = np.arange(0, keyframes, FIX_EVERY)
+    at = np.arange(0, keyframes, fix_every)
     fixes = PositionFixes(
         "fixes",
         stamps[at],

@@ -43,9 +43,7 @@ LAG_S = 30.0
 
 def _online(drive: Drive) -> Floats:
     """Return the seconds (K,) that the engine took for each keyframe."""
-    engine = OnlineEngine(
-        drive.robot, drive.sensors, drive.truth, OnlineSettings(lag_s=LAG_S), 0.0
-    )
+    engine = OnlineEngine(drive.robot, drive.sensors, drive.truth, OnlineSettings(lag_s=LAG_S), 0.0)
     engine.begin(int(drive.wheels.stamps_ns[0]), start_of(drive))
     seconds = np.zeros(drive.wheels.angles.shape[0])
     k = 0
@@ -99,7 +97,7 @@ def _native(drive: Drive) -> Floats:
             at = gtsam.Pose2(fixes[k][0], fixes[k][1], 0.0)
             graph.add(gtsam.PoseTranslationPrior2D(k, at, noise))
         values.insert(k, pose)
-        stamps.insert((k, 0.1 * k))
+        stamps.insert((k, 0.1 * k))  # type: ignore[no-untyped-call]
         smoother.update(graph, values, stamps)
         pose = smoother.calculateEstimatePose2(k)
         smoother.getISAM2().marginalCovariance(k)
