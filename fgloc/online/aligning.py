@@ -25,7 +25,8 @@ class Aligner:
     def add(self, number: int, fix: Fix, moved: Floats | None, pose: Floats) -> None:
         """Take a fix at a keyframe with a dead-reckoned pose (3,)."""
         self.fixes.append((number, fix, moved))
-        here = pose if moved is None else compose(pose, moved)
+        # A copy: the pose is a view of the window, which moves on.
+        here = pose.copy() if moved is None else compose(pose, moved)
         self._points.append(here)
 
     def start(self) -> tuple[Floats, Floats] | None:

@@ -32,7 +32,7 @@ FORMAT = 1
 """Version of the file."""
 Labels = Mapping[str, str | int | bool]
 """What a caller wants to find with the state again."""
-DAMAGED = (LookupError, TypeError, ValueError, AttributeError, ImportError, zipfile.BadZipFile)
+DAMAGED = (EOFError, LookupError, TypeError, ValueError, AttributeError, ImportError, zipfile.BadZipFile)
 """What reading nonsense raises."""
 
 
@@ -51,7 +51,8 @@ def save(engine: OnlineEngine, path: str | Path, labels: Labels | None = None) -
     }
     text = np.frombuffer(json.dumps(header).encode(), np.uint8)
     stream = io.BytesIO()
-    np.savez(stream, header=text, **writer.arrays())
+    arrays: dict[str, Any] = {"header": text, **writer.arrays()}
+    np.savez(stream, **arrays)
     write_bytes(path, stream.getvalue())
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from fgloc.core.drive import Drive
 from fgloc.errors import FglocError
-from fgloc.online.checkpoint import labels_of, mark, restore, save
+from fgloc.online.checkpoint import Labels, labels_of, mark, restore, save
 from fgloc.online.engine import OnlineEngine
 from fgloc.online.settings import OnlineSettings
 from fgloc.online.track import Track
@@ -83,7 +83,7 @@ class CheckpointFolder:
         except OSError as error:
             raise _failed(self._poses, error) from error
         self._written = track.count
-        labels = {
+        labels: Labels = {
             "drive": self._mark,
             "packets": packets,
             "poses": track.count,
