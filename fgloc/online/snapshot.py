@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from enum import Enum
 from types import MethodType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -68,6 +68,7 @@ class Writer:
         """Return the node of something met for the first time."""
         if isinstance(value, np.ndarray):
             # The order of the axes in memory decides how products are summed up.
+            order: Literal["C", "F"]
             order = "F" if value.flags.f_contiguous and not value.flags.c_contiguous else "C"
             start = self._store(value.ravel(order))
             return ["array", value.dtype.str, list(value.shape), order, start]
