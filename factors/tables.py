@@ -10,10 +10,14 @@ import numpy as np
 
 from fgloc.core.compiled import compiled
 from fgloc.core.measurements import Floats, Stamps
+from fgloc.errors import FglocError
 from fgloc.factors.kernels.camera import camera_odometry
 from fgloc.factors.kernels.fix import pose_fix, position_fix
 from fgloc.factors.kernels.heading import yaw, yaw_rate, zero_prior, zero_walk
+from fgloc.factors.kernels.lidar import range_bearing, wall
+from fgloc.factors.kernels.motion import calibration_walk, zero_velocity
 from fgloc.factors.kernels.prior import state_prior
+from fgloc.factors.kernels.slip import slip_prior, slip_side, slip_walk, wheel_slip
 from fgloc.factors.kernels.wheel import wheel_odometry
 from fgloc.factors.robust import PLAIN, Loss
 
@@ -30,6 +34,14 @@ class Kind(IntEnum):
     POSITION_FIX = 6
     POSE_FIX = 7
     STATE_PRIOR = 8
+    WALL = 9
+    RANGE_BEARING = 10
+    CALIBRATION_WALK = 11
+    ZERO_VELOCITY = 12
+    WHEEL_SLIP = 13
+    SLIP_PRIOR = 14
+    SLIP_WALK = 15
+    SLIP_SIDE = 16
 
 
 KERNELS: dict[Kind, Callable[..., None]] = {
@@ -42,6 +54,14 @@ KERNELS: dict[Kind, Callable[..., None]] = {
     Kind.POSITION_FIX: position_fix,
     Kind.POSE_FIX: pose_fix,
     Kind.STATE_PRIOR: state_prior,
+    Kind.WALL: wall,
+    Kind.RANGE_BEARING: range_bearing,
+    Kind.CALIBRATION_WALK: calibration_walk,
+    Kind.ZERO_VELOCITY: zero_velocity,
+    Kind.WHEEL_SLIP: wheel_slip,
+    Kind.SLIP_PRIOR: slip_prior,
+    Kind.SLIP_WALK: slip_walk,
+    Kind.SLIP_SIDE: slip_side,
 }
 """The kernels by kind, for tests and for single factors; the compiled loop dispatches itself."""
 
@@ -55,11 +75,34 @@ COMPONENTS: dict[Kind, tuple[str, ...]] = {
     Kind.POSITION_FIX: ("x [m]", "y [m]"),
     Kind.POSE_FIX: ("x [m]", "y [m]", "heading [rad]"),
     Kind.STATE_PRIOR: ("forward [m]", "left [m]", "heading [rad]"),
+    Kind.WALL: ("normal [rad]", "offset [m]"),
+    Kind.RANGE_BEARING: ("range [m]", "bearing [rad]"),
+    Kind.CALIBRATION_WALK: (),
+    Kind.ZERO_VELOCITY: ("forward [m]", "left [m]", "heading [rad]"),
+    Kind.WHEEL_SLIP: ("forward [m]", "left [m]", "heading [rad]"),
+    Kind.SLIP_PRIOR: ("slip [1]",),
+    Kind.SLIP_WALK: ("change of slip [1]",),
+    Kind.SLIP_SIDE: ("slip on the unlikely side [1]",),
 }
-"""Leading residual components with units; all of them but for STATE_PRIOR."""
+"""Leading residual components with units; all of them but for STATE_PRIOR and CALIBRATION_WALK,
+whose number depends on the state."""
 
-PAIRWISE = frozenset({Kind.WHEEL, Kind.YAW_RATE, Kind.ZERO_WALK, Kind.CAMERA})
-"""Kinds that join keyframe `first` and the one after it."""
+PAIRWISE = frozenset(
+    {
+        Kind.WHEEL,
+        Kind.YAW_RATE,
+        Kind.ZERO_WALK,
+        Kind.CAMERA,
+        Kind.CALIBRATION_WALK,
+        Kind.ZERO_VELOCITY,
+        Kind.WHEEL_SLIP,
+        Kind.SLIP_WALK,
+    }
+)
+"""Kinds that join state `first` (a keyframe, or a calibration segment) and the one after it."""
+
+LANDMARK = frozenset({Kind.WALL, Kind.RANGE_BEARING})
+"""Kinds that join keyframe `first` and landmark `second`."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +124,19 @@ class FactorTable:
     loss: Loss = PLAIN
     """Robust loss of the whole residual."""
     slot: int = -1
-    """State column of the sensor's drifting zero, -1 for none."""
+    """State column of the sensor's drifting zero or (first) slip, -1 for none."""
+    second: Stamps | None = None
+    """(M,) landmark index of each factor, for the kinds that see landmarks; None for the rest."""
+
+    def __post_init__(self) -> None:
+        if self.sees_landmarks != (self.second is not None):
+            need = "needs" if self.sees_landmarks else "has no use for"
+            raise FglocError(f"{self.sensor}: a {self.kind.name} table {need} landmark indices")
+
+    @property
+    def sees_landmarks(self) -> bool:
+        """Return True if each factor joins keyframe `first` and landmark `second`."""
+        return self.kind in LANDMARK
 
     @property
     def pairwise(self) -> bool:
@@ -103,7 +158,7 @@ class Linearised:
     by_first: Floats
     """(M, d, B)."""
     by_second: Floats
-    """(M, d, B); zeros and unused for factors of one keyframe."""
+    """(M, d, B), for landmarks (M, d, 2); zeros and unused for factors of one keyframe."""
     by_calibration: Floats
     """(M, d, G_table)."""
 
@@ -113,21 +168,36 @@ class Linearised:
         return np.asarray(np.einsum("md,md->m", self.residual, self.residual))
 
 
-def linearise(table: FactorTable, states: Floats, calibration: Floats) -> Linearised:
-    """Linearise all factors of a table at (K, B) states and the whole calibration vector. O(M)."""
+def linearise(
+    table: FactorTable, states: Floats, calibration: Floats, landmarks: Floats | None = None
+) -> Linearised:
+    """Linearise all factors of a table at (K, B) states and the whole calibration vector. O(M).
+
+    `landmarks` (L, 2) are what the table's `second` counts; raises FglocError if they are missing.
+    """
     m, d, b = table.first.size, table.dimension, states.shape[1]
     g = calibration[table.calibration]
+    others, second = states, table.first + 1 if table.pairwise else table.first
+    if table.second is not None:
+        if landmarks is None:
+            raise FglocError(f"{table.sensor}: this table sees landmarks, but none were given")
+        others, second = np.ascontiguousarray(landmarks), table.second
     out = Linearised(
-        np.zeros((m, d)), np.zeros((m, d, b)), np.zeros((m, d, b)), np.zeros((m, d, g.size))
+        np.zeros((m, d)),
+        np.zeros((m, d, b)),
+        np.zeros((m, d, others.shape[1])),
+        np.zeros((m, d, g.size)),
     )
     _linearise(
         int(table.kind),
-        1 if table.pairwise else 0,
+        table.pairwise or table.sees_landmarks,
         table.first,
+        second,
         table.measurements,
         table.sqrt_information,
         table.slot,
         states,
+        others,
         np.ascontiguousarray(g),
         out.residual,
         out.by_first,
@@ -137,12 +207,14 @@ def linearise(table: FactorTable, states: Floats, calibration: Floats) -> Linear
     return out
 
 
-def residuals(table: FactorTable, states: Floats, calibration: Floats) -> Floats:
+def residuals(
+    table: FactorTable, states: Floats, calibration: Floats, landmarks: Floats | None = None
+) -> Floats:
     """Return the (M, d) residuals in units (not whitened) at a state."""
     # Copies, not a broadcast view: numba would compile the loop again for a read-only array.
     plain = np.tile(np.eye(table.dimension), (table.first.size, 1, 1))
     unwhitened = replace(table, sqrt_information=plain)
-    return linearise(unwhitened, states, calibration).residual
+    return linearise(unwhitened, states, calibration, landmarks).residual
 
 
 @compiled
@@ -175,8 +247,24 @@ def _evaluate(
         position_fix(xi, xj, g, m, slot, r, ji, jj, jg)
     elif kind == 7:
         pose_fix(xi, xj, g, m, slot, r, ji, jj, jg)
-    else:
+    elif kind == 8:
         state_prior(xi, xj, g, m, slot, r, ji, jj, jg)
+    elif kind == 9:
+        wall(xi, xj, g, m, slot, r, ji, jj, jg)
+    elif kind == 10:
+        range_bearing(xi, xj, g, m, slot, r, ji, jj, jg)
+    elif kind == 11:
+        calibration_walk(xi, xj, g, m, slot, r, ji, jj, jg)
+    elif kind == 12:
+        zero_velocity(xi, xj, g, m, slot, r, ji, jj, jg)
+    elif kind == 13:
+        wheel_slip(xi, xj, g, m, slot, r, ji, jj, jg)
+    elif kind == 14:
+        slip_prior(xi, xj, g, m, slot, r, ji, jj, jg)
+    elif kind == 15:
+        slip_walk(xi, xj, g, m, slot, r, ji, jj, jg)
+    else:
+        slip_side(xi, xj, g, m, slot, r, ji, jj, jg)
 
 
 @compiled
@@ -196,27 +284,32 @@ def _whiten(s: Floats, values: Floats, scratch: Floats) -> None:
 @compiled
 def _linearise(
     kind: int,
-    step: int,
+    joins: bool,
     first: Stamps,
+    second: Stamps,
     measurements: Floats,
     sqrt_information: Floats,
     slot: int,
     states: Floats,
+    others: Floats,
     g: Floats,
     residual: Floats,
     by_first: Floats,
     by_second: Floats,
     by_calibration: Floats,
 ) -> None:
-    """Evaluate and whiten every factor of a table into the (zeroed) outputs."""
+    """Evaluate and whiten every factor of a table into the (zeroed) outputs.
+
+    `others` is where `second` counts: the states again, or the landmarks. `joins` is False for
+    factors of one state, whose `by_second` stays zero.
+    """
     scratch = np.empty(residual.shape[1])
     for k in range(first.size):
-        i = first[k]
         r = residual[k]
         _evaluate(
             kind,
-            states[i],
-            states[i + step],
+            states[first[k]],
+            others[second[k]],
             g,
             measurements[k],
             slot,
@@ -228,6 +321,6 @@ def _linearise(
         s = sqrt_information[k]
         _whiten(s, r.reshape(r.size, 1), scratch)
         _whiten(s, by_first[k], scratch)
-        if step == 1:
+        if joins:
             _whiten(s, by_second[k], scratch)
         _whiten(s, by_calibration[k], scratch)

@@ -5,5 +5,6 @@ possibly slowly varying sensor zeros from column 3 on), the factor's calibration
 units), its measurement row m and the state column `slot` of its sensor zero (-1: none). It writes
 the residual r (d,) and the Jacobians ji, jj (d, B), jg (d, G), which arrive zeroed. State
 Jacobians are by the retraction x ⊕ d = x ∘ (d_x, d_y, d_theta), zeros additive. Kernels of one
-keyframe leave xj and jj alone.
+keyframe leave xj and jj alone. Where xj is a landmark it is two numbers, moved by adding, and jj
+is (d, 2); where xi and xj are calibration vectors both are moved by adding.
 """
