@@ -43,9 +43,12 @@ class Row:
     """Its row there."""
     weight: float = 1.0
     """Robust weight it enters with."""
-    landmark: int = -1
-    """Id of the landmark that it sees, -1 for none; its kernel then takes the landmark's
-    (2,) vector in place of the second keyframe."""
+
+    @property
+    def landmark(self) -> int:
+        """Return the index of the landmark that it sees, -1 for none."""
+        second = self.table.second
+        return -1 if second is None else int(second[self.index])
 
     @property
     def keyframe(self) -> int:
@@ -53,14 +56,11 @@ class Row:
         return int(self.table.first[self.index]) + (1 if self.table.pairwise else 0)
 
 
-def rows_of(
-    table: FactorTable, weights: Floats | None = None, landmarks: Sequence[int] | None = None
-) -> list[Row]:
-    """Return all rows of a table with their weights (M,), 1 if not given, and landmark ids."""
+def rows_of(table: FactorTable, weights: Floats | None = None) -> list[Row]:
+    """Return all rows of a table with their robust weights (M,), 1 if not given."""
     m = table.first.size
     w = [1.0] * m if weights is None else weights.tolist()
-    seen = [-1] * m if landmarks is None else landmarks
-    return [Row(table, k, w[k], seen[k]) for k in range(m)]
+    return [Row(table, k, w[k]) for k in range(m)]
 
 
 class Bundle:

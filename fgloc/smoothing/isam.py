@@ -163,29 +163,38 @@ class IncrementalGraph:
     def update(self) -> None:
         """Solve with everything added since the last update. Never raises what GTSAM raises."""
         with self._lock:
-            window, solver = self._window, self._solver
+            window, solver, settings = self._window, self._solver, self.settings
             if not solver.queued:
                 return
             self.updates += 1
             fresh = [b for b in solver.queued if b is not None and b.index < 0]
             horizon = window.frames[window.newest].stamp - self._lag
             try:
-                self._archive_before(horizon)
-                solver.update(*self._relinearisation())
-                window.forget_before(horizon)
+                forget = not window.landmarks or self.updates % settings.landmark_patience == 0
+                if forget:
+                    self._archive_before(horizon)
+                solver.update(*self._relinearisation(forget), forget)
+                if forget:
+                    window.forget_before(horizon)
                 solver.value(frame_key(window.newest))
                 self._reweigh()
                 self._take_snapshot()
             except Exception as fault:  # GTSAM raises RuntimeError, IndexError, ValueError, ...
                 self._recover(fault, fresh)
 
-    def _relinearisation(self) -> tuple[bool, list[int]]:
-        """Return whether this update may move linearisation points, and keys that must stay."""
+    def _relinearisation(self, forget: bool) -> tuple[bool, list[int]]:
+        """Return whether this update may move linearisation points, and keys that must stay.
+
+        With landmarks all are looked at in the updates that forget: both eliminate most of the
+        window, and once is enough.
+        """
         window, settings = self._window, self.settings
-        if self.updates % settings.relinearize_skip:
-            return False, []
-        if self.updates % (settings.relinearize_skip * settings.relinearize_all) == 0:
+        look = self.updates % settings.relinearize_skip == 0
+        turn = self.updates % (settings.relinearize_skip * settings.relinearize_all) == 0
+        if forget if window.landmarks else turn:
             return True, []
+        if not look:
+            return False, []
         since = window.frames[window.newest].stamp - settings.relinearize_s
         recent = window.newest
         while recent > window.oldest and window.frames[recent - 1].stamp >= since:
@@ -200,7 +209,8 @@ class IncrementalGraph:
     def _recover(self, fault: Exception, fresh: Sequence[Bundle]) -> None:
         """Replace the corrupt solver."""
         self.rebuilds += 1
-        self.last_fault = f"{type(fault).__name__}: {fault}"
+        said = " ".join(str(fault).split())
+        self.last_fault = f"{type(fault).__name__}: {said[:200]}"
         result = rebuild(self._solver, self._window, self.settings, self._snapshot, fresh)
         self._solver = result.solver
         self.dropped.update(result.dropped)
@@ -229,9 +239,9 @@ class IncrementalGraph:
         head, others = recent[:2], recent[2:]
         more = min(max(settings.reweigh_bundles - len(head), 0), len(others))
         for n in range(more):
-            self._turn += 1
-            head.append(others[self._turn % len(others)] if n < len(others) else others[0])
-        for bundle in dict.fromkeys(head):
+            head.append(others[(self._turn + n) % len(others)])
+        self._turn += more
+        for bundle in head:
             weights = bundle.new_weights(self._squared(bundle))
             change = np.abs(weights - bundle.weights)
             if np.any(change > settings.reweigh_change * np.maximum(weights, bundle.weights)):

@@ -97,8 +97,7 @@ def rebuild(
     for attempt in attempts:
         try:
             solver = attempt()
-            for k in (window.oldest, window.newest):
-                solver.value(frame_key(k))
+            solver.value(frame_key(window.newest))
         except Exception:  # whatever it was, the next attempt asks for less
             continue
         return Rebuilt(solver, recovery.dropped, recovery.restarted)

@@ -46,12 +46,12 @@ class Solver:
         self.held = self._isam.getLinearizationPoint()
         """iSAM2's own Values; held so that callbacks get this object. Read only."""
         self._nothing = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        self._stamps: dict[int, float] = {}
         self._clear()
 
     def _clear(self) -> None:
         self._graph = gtsam.NonlinearFactorGraph()
         self._values = gtsam.Values()
-        self._stamps: dict[int, float] = {}
         self._removed: list[int] = []
         self.queued: list[Bundle | None] = []
         """What stands for each queued factor: its bundle, None for a factor that is no bundle."""
@@ -90,8 +90,10 @@ class Solver:
         self._graph.add(factor)
         self.queued.append(None)
 
-    def update(self, relinearise: bool = False, fixed: Iterable[int] = ()) -> None:
-        """Solve with all that is queued, and forget what is older than the lag.
+    def update(
+        self, relinearise: bool = False, fixed: Iterable[int] = (), forget: bool = True
+    ) -> None:
+        """Solve with all that is queued, and `forget` what is older than the lag.
 
         `relinearise` moves the linearisation points that are too far from the estimate, but not
         those of the `fixed` keys. Raises whatever GTSAM or a callback raises; this object is of
@@ -111,7 +113,9 @@ class Solver:
             self._graph, self._values, self._removed, None, keep, None, relinearise
         )
         indices = result.getNewFactorsIndices()
-        self._smoother.update(*self._nothing, self._stamps)
+        if forget:
+            self._smoother.update(*self._nothing, self._stamps)
+            self._stamps = {}
         for bundle, index in zip(self.queued, indices, strict=True):
             if bundle is not None:
                 bundle.index = index

@@ -136,14 +136,13 @@ class Window:
 
 
 def bundled(rows: Sequence[Row]) -> list[Bundle]:
-    """Return the rows as few bundles: those of one keyframe interval share one, without landmarks.
+    """Return the rows as few bundles: one for a keyframe interval, one for the landmarks seen.
 
-    Rows that see landmarks are bundled by landmark: in one factor with all that a keyframe sees,
-    moving one landmark would linearise the rows of all others anew.
+    Landmarks stay apart: changing the weight of a wheel row should not touch them all.
     """
-    groups: dict[tuple[int, int], list[Row]] = {}
+    groups: dict[tuple[int, bool], list[Row]] = {}
     for row in rows:
-        groups.setdefault((row.keyframe, row.landmark), []).append(row)
+        groups.setdefault((row.keyframe, row.landmark >= 0), []).append(row)
     return [Bundle(group) for group in groups.values()]
 
 
