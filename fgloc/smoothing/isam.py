@@ -156,7 +156,7 @@ class IncrementalGraph:
             if not np.isfinite(guess).all():
                 raise FglocError(f"landmark {landmark} has a guess that is not finite")
             now = self._window.frames[self._window.newest].stamp
-            self._enter(landmark, Landmark(now, guess, covariance))
+            self._enter(landmark, Landmark(now, now, guess, covariance))
 
     # -- solving -------------------------------------------------------------------------------
 
@@ -204,7 +204,11 @@ class IncrementalGraph:
         samples = older[:: max(len(older) // PROBES, 1)]
         if any(self._solver.moved(frame_key(k)) > far for k in samples):
             return True, []
-        return True, [frame_key(k) for k in older]
+        # What is tied to old keyframes moves little, and would take half the window along.
+        keys = [frame_key(k) for k in older]
+        keys += [segment_key(s) for s in window.segments if s < window.frames[recent].segment]
+        marks = window.landmarks.items()
+        return True, keys + [landmark_key(i) for i, mark in marks if mark.begin < since]
 
     def _recover(self, fault: Exception, fresh: Sequence[Bundle]) -> None:
         """Replace the corrupt solver."""
@@ -386,7 +390,7 @@ class IncrementalGraph:
                 if mark is None:
                     value, covariance = self.archive.pop(i)
                     prior = covariance * self.settings.reentry_inflation
-                    self._enter(i, Landmark(seen_at, value, prior))
+                    self._enter(i, Landmark(seen_at, seen_at, value, prior))
                 elif mark.stamp < seen_at:
                     mark.stamp = seen_at
                     self._solver.stamp(landmark_key(i), seen_at)

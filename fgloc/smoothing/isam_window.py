@@ -66,6 +66,8 @@ class Landmark:
 
     stamp: float
     """Time [s] of the last keyframe that saw it."""
+    begin: float
+    """Time [s] when it entered."""
     guess: Floats
     """(2,) the value it entered with."""
     prior: Floats | None
