@@ -14,6 +14,7 @@ from fgloc.factors.gtsam_factors import LANDMARK, Bundle, Row
 from fgloc.smoothing.isam_rebuild import Snapshot, rebuild
 from fgloc.smoothing.isam_settings import IncrementalSettings
 from fgloc.smoothing.isam_solver import ENDLESS, Solver
+from fgloc.smoothing.isam_upkeep import Upkeep
 from fgloc.smoothing.isam_window import (
     STIFF,
     Frame,
@@ -21,14 +22,10 @@ from fgloc.smoothing.isam_window import (
     Segment,
     Window,
     bundled,
-    empty_landmarks,
     frame_key,
     landmark_key,
     segment_key,
 )
-
-PROBES = 5
-"""Older keyframes that are probed for having moved far."""
 
 
 class IncrementalGraph:
@@ -45,7 +42,9 @@ class IncrementalGraph:
     (with `lag_s` None on both). The window may be up to one update longer than the lag.
     """
 
-    def __init__(self, width: int, walk: Floats, settings: IncrementalSettings | None = None):
+    def __init__(
+        self, width: int, walk: Floats, settings: IncrementalSettings | None = None
+    ) -> None:
         """Prepare for states of `width` B ≥ 3 and a calibration of walk.size = G ≥ 0 variables.
 
         `walk` (G,) are standard deviations of the calibration's random walk per root second; 0 for
@@ -66,13 +65,15 @@ class IncrementalGraph:
         """What the last failure said."""
         self.archive: dict[int, tuple[Floats, Floats]] = {}
         """Landmarks that left the window: value (2,) and covariance (2, 2) by id."""
+        self._announced: dict[int, tuple[Floats, Floats | None]] = {}
         self._width, self._walk = width, walk
         self._lag = ENDLESS if self.settings.lag_s is None else self.settings.lag_s
         self._lock = RLock()
         self._solver = Solver(self.settings)
         self._window = Window()
+        self._upkeep = Upkeep(self.settings)
         self._origin = 0.0
-        self._turn = 0
+        self._first = 0
         self._snapshot: Snapshot | None = None
 
     # -- input ---------------------------------------------------------------------------------
@@ -94,11 +95,10 @@ class IncrementalGraph:
         with self._lock:
             if self._window.frames:
                 raise FglocError("the incremental graph was started twice")
-            rows = self._checked(state, rows)
-            self._origin = stamp_s
             window = self._window
-            window.oldest = window.newest = keyframe
-            self._first = keyframe
+            window.oldest = window.newest = self._first = keyframe
+            rows = self._checked(state, rows, keyframe)
+            self._origin = stamp_s
             if self._walk.size:
                 guess = np.zeros(self._walk.size) if calibration is None else calibration
                 window.segments[0] = Segment(0.0, 0.0, guess, calibration_covariance)
@@ -114,7 +114,7 @@ class IncrementalGraph:
 
         Rows of older keyframes in the window may be among them. Raises `FglocError`, before
         anything is changed, for a stamp that is not later, an index that is not the next one, a
-        row outside the window and for numbers that are not finite.
+        row outside the window, for numbers that are not finite and for a keyframe without rows.
         """
         with self._lock:
             window, stamp = self._window, stamp_s - self._origin
@@ -147,68 +147,41 @@ class IncrementalGraph:
     def add_landmark(self, landmark: int, guess: Floats, covariance: Floats | None = None) -> None:
         """Announce a new landmark with a guess (2,) and, if it is to have one, a prior (2, 2).
 
-        Without a prior the rows that come before the next `update` must determine it. A landmark
-        in the archive needs no announcement: it comes back by being seen.
+        It becomes a variable with the first row that sees it; without a prior the rows up to the
+        next `update` must determine it. A landmark in the archive needs no announcement: it comes
+        back by being seen.
         """
         with self._lock:
             if self.has_landmark(landmark):
                 raise FglocError(f"landmark {landmark} is there already")
             if not np.isfinite(guess).all():
                 raise FglocError(f"landmark {landmark} has a guess that is not finite")
-            now = self._window.frames[self._window.newest].stamp
-            self._enter(landmark, Landmark(now, now, guess, covariance))
+            self._announced[landmark] = guess, covariance
 
     # -- solving -------------------------------------------------------------------------------
 
     def update(self) -> None:
         """Solve with everything added since the last update. Never raises what GTSAM raises."""
         with self._lock:
-            window, solver, settings = self._window, self._solver, self.settings
-            if not solver.queued:
+            window, solver = self._window, self._solver
+            if not solver.pending:
                 return
             self.updates += 1
             fresh = [b for b in solver.queued if b is not None and b.index < 0]
             horizon = window.frames[window.newest].stamp - self._lag
             try:
-                forget = not window.landmarks or self.updates % settings.landmark_patience == 0
+                forget = self._upkeep.forgets(self.updates, window)
                 if forget:
                     self._archive_before(horizon)
-                solver.update(*self._relinearisation(forget), forget)
+                look = self._upkeep.relinearisation(self.updates, forget, solver, window)
+                solver.update(*look, forget)
                 if forget:
                     window.forget_before(horizon)
                 solver.value(frame_key(window.newest))
-                self._reweigh()
+                self._upkeep.reweigh(solver, window)
                 self._take_snapshot()
             except Exception as fault:  # GTSAM raises RuntimeError, IndexError, ValueError, ...
                 self._recover(fault, fresh)
-
-    def _relinearisation(self, forget: bool) -> tuple[bool, list[int]]:
-        """Return whether this update may move linearisation points, and keys that must stay.
-
-        With landmarks all are looked at in the updates that forget: both eliminate most of the
-        window, and once is enough.
-        """
-        window, settings = self._window, self.settings
-        look = self.updates % settings.relinearize_skip == 0
-        turn = self.updates % (settings.relinearize_skip * settings.relinearize_all) == 0
-        if forget if window.landmarks else turn:
-            return True, []
-        if not look:
-            return False, []
-        since = window.frames[window.newest].stamp - settings.relinearize_s
-        recent = window.newest
-        while recent > window.oldest and window.frames[recent - 1].stamp >= since:
-            recent -= 1
-        far = settings.relinearize_far * settings.relinearize_threshold
-        older = range(window.oldest, recent)
-        samples = older[:: max(len(older) // PROBES, 1)]
-        if any(self._solver.moved(frame_key(k)) > far for k in samples):
-            return True, []
-        # What is tied to old keyframes moves little, and would take half the window along.
-        keys = [frame_key(k) for k in older]
-        keys += [segment_key(s) for s in window.segments if s < window.frames[recent].segment]
-        marks = window.landmarks.items()
-        return True, keys + [landmark_key(i) for i, mark in marks if mark.begin < since]
 
     def _recover(self, fault: Exception, fresh: Sequence[Bundle]) -> None:
         """Replace the corrupt solver."""
@@ -221,45 +194,6 @@ class IncrementalGraph:
         if result.restarted:
             self.restarts += 1
             self._snapshot = None
-        newest = self._window.frames[self._window.newest].stamp
-        self._window.forget_before(newest - self._lag)
-
-    def _reweigh(self) -> None:
-        """Queue recent bundles whose robust weights no longer fit, a few of them each time.
-
-        The newest interval is looked at every time, since its guess was the poorest; the others
-        in turn.
-        """
-        window, settings = self._window, self.settings
-        since = window.frames[window.newest].stamp - settings.reweigh_s
-        recent: list[Bundle] = []
-        for k in range(window.newest, window.oldest - 1, -1):
-            frame = window.frames[k]
-            if frame.stamp < since:
-                break
-            recent += [b for b in frame.bundles if b.robust]
-        if not recent:
-            return
-        head, others = recent[:2], recent[2:]
-        more = min(max(settings.reweigh_bundles - len(head), 0), len(others))
-        for n in range(more):
-            head.append(others[(self._turn + n) % len(others)])
-        self._turn += more
-        for bundle in head:
-            weights = bundle.new_weights(self._squared(bundle))
-            change = np.abs(weights - bundle.weights)
-            if np.any(change > settings.reweigh_change * np.maximum(weights, bundle.weights)):
-                bundle.weights[:] = weights
-                self._solver.replace(bundle)
-
-    def _squared(self, bundle: Bundle) -> Floats:
-        """Return a bundle's squared whitened residuals at the present estimate."""
-        value = self._solver.value
-        xi = value(frame_key(bundle.first))
-        xj = xi if bundle.first == bundle.last else value(frame_key(bundle.last))
-        u = value(self._window.segment_of(bundle.last)) if self._walk.size else np.zeros(0)
-        seen = [value(landmark_key(i)) for i in bundle.landmarks]
-        return bundle.squared(xi, xj, u, np.array(seen) if seen else empty_landmarks())
 
     def _take_snapshot(self) -> None:
         """Keep the newest state and its covariance now and then."""
@@ -312,8 +246,9 @@ class IncrementalGraph:
         return self._read(self._window.segment_of(self._window.newest), covariance=True)
 
     def has_landmark(self, landmark: int) -> bool:
-        """Return whether a landmark is in the window or in the archive."""
-        return landmark in self._window.landmarks or landmark in self.archive
+        """Return whether a landmark is in the window, in the archive or announced."""
+        known = (self._window.landmarks, self.archive, self._announced)
+        return any(landmark in where for where in known)
 
     def landmark(self, landmark: int) -> tuple[Floats, Floats]:
         """Return a landmark's value (2,) and covariance (2, 2), from the window or the archive."""
@@ -353,15 +288,10 @@ class IncrementalGraph:
         """Return the rows; raises `FglocError` for what the graph cannot take."""
         if state is not None and (state.shape != (self._width,) or not np.isfinite(state).all()):
             raise FglocError(f"a keyframe's guess must be {self._width} finite numbers")
-        last = self._window.newest if newest is None else newest
+        if state is not None and not any(row.keyframe == newest for row in rows):
+            raise FglocError(f"keyframe {newest} has no measurement that ties it to anything")
         for row in rows:
-            numbers = row.table.measurements[row.index], row.table.sqrt_information[row.index]
-            if not all(np.isfinite(n).all() for n in (*numbers, row.weight)):
-                raise FglocError(f"{row.table.sensor}: a measurement is not finite")
-            if self._window.frames:
-                first = int(row.table.first[row.index])
-                if first < self._window.oldest or row.keyframe > last:
-                    raise FglocError(f"{row.table.sensor}: keyframe {first} is not in the window")
+            self._window.check(row, self._window.newest if newest is None else newest)
             if row.landmark >= 0 and not self.has_landmark(row.landmark):
                 raise FglocError(f"{row.table.sensor}: landmark {row.landmark} is not known")
         return list(rows)
@@ -388,21 +318,25 @@ class IncrementalGraph:
             for i in bundle.landmarks:
                 mark = self._window.landmarks.get(i)
                 if mark is None:
-                    value, covariance = self.archive.pop(i)
-                    prior = covariance * self.settings.reentry_inflation
-                    self._enter(i, Landmark(seen_at, seen_at, value, prior))
+                    self._enter(i, seen_at)
                 elif mark.stamp < seen_at:
                     mark.stamp = seen_at
                     self._solver.stamp(landmark_key(i), seen_at)
             self._window.attach(bundle)
             self._solver.add(bundle)
 
-    def _enter(self, landmark: int, mark: Landmark) -> None:
-        """Queue a landmark as a variable."""
-        self._window.landmarks[landmark] = mark
-        self._solver.insert(landmark_key(landmark), mark.guess, mark.stamp)
-        if mark.prior is not None:
-            self._solver.add_prior(landmark_key(landmark), mark.guess, mark.prior)
+    def _enter(self, landmark: int, stamp: float) -> None:
+        """Queue an announced or archived landmark as a variable."""
+        if landmark in self._announced:
+            guess, prior = self._announced.pop(landmark)
+        else:
+            guess, known = self.archive.pop(landmark)
+            prior = known * self.settings.reentry_inflation
+        self._window.landmarks[landmark] = Landmark(stamp, stamp, guess, prior)
+        key = landmark_key(landmark)
+        self._solver.insert(key, guess, stamp)
+        if prior is not None:
+            self._solver.add_prior(key, guess, prior)
 
     def _archive_before(self, stamp: float) -> None:
         """Keep value and covariance of the landmarks that the next update will forget."""

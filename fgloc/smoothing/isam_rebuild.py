@@ -238,5 +238,6 @@ class _Recovery:
             solver.add_factor(factor)
         for bundle in bundles:
             solver.add(bundle)
-        solver.update()
+        # What is too old goes with the next update, which archives its landmarks first.
+        solver.update(forget=False)
         return solver

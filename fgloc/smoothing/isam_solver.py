@@ -9,6 +9,7 @@ corrupt, so that a `Solver` that raised is only good for `salvage`.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any, SupportsFloat, SupportsIndex, SupportsInt
 
 import gtsam
 import numpy as np
@@ -23,7 +24,7 @@ NEVER = 1 << 30
 """Updates between relinearisations that nobody asked for."""
 
 
-class Unhealthy(RuntimeError):
+class UnhealthyError(RuntimeError):
     """The solver returned something that is not a number."""
 
 
@@ -46,7 +47,7 @@ class Solver:
         self.held = self._isam.getLinearizationPoint()
         """iSAM2's own Values; held so that callbacks get this object. Read only."""
         self._nothing = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        self._stamps: dict[int, float] = {}
+        self._stamps: dict[SupportsInt | SupportsIndex, SupportsFloat | SupportsIndex] = {}
         self._clear()
 
     def _clear(self) -> None:
@@ -85,7 +86,7 @@ class Solver:
         noise = gtsam.noiseModel.Diagonal.Sigmas(sigma)
         self.add_factor(gtsam.BetweenFactorVector(before, after, np.zeros(sigma.size), noise))
 
-    def add_factor(self, factor: object) -> None:
+    def add_factor(self, factor: Any) -> None:
         """Queue any other gtsam factor."""
         self._graph.add(factor)
         self.queued.append(None)
@@ -122,11 +123,11 @@ class Solver:
         self._clear()
 
     def value(self, key: int) -> Floats:
-        """Return a variable's estimate; raises `Unhealthy` if it is not finite."""
+        """Return a variable's estimate; raises `UnhealthyError` if it is not finite."""
         return _finite(self._smoother.calculateEstimateVector(key), "estimate")
 
     def covariance(self, key: int) -> Floats:
-        """Return a variable's marginal covariance (n, n); raises `Unhealthy`. O(depth of tree)."""
+        """Return a variable's marginal covariance (n, n); raises `UnhealthyError`."""
         covariance = _finite(self._smoother.marginalCovariance(key), "covariance")
         return 0.5 * (covariance + covariance.T)
 
@@ -137,6 +138,11 @@ class Solver:
     def knows(self, key: int) -> bool:
         """Return whether the variable is in the graph (queued ones are not yet)."""
         return bool(self._isam.valueExists(key))
+
+    @property
+    def pending(self) -> bool:
+        """Return whether anything is queued."""
+        return bool(self.queued) or self._values.size() > 0
 
     @property
     def queued_keys(self) -> set[int]:
@@ -165,7 +171,7 @@ class Solver:
 
 
 def _finite(array: Floats, what: str) -> Floats:
-    """Return the array; raises `Unhealthy` if an entry is not finite."""
+    """Return the array; raises `UnhealthyError` if an entry is not finite."""
     if not np.isfinite(array).all():
-        raise Unhealthy(f"iSAM2 returned an {what} that is not finite")
+        raise UnhealthyError(f"iSAM2 returned an {what} that is not finite")
     return array

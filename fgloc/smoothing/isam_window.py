@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fgloc.core.measurements import Floats
-from fgloc.factors.gtsam_factors import LANDMARK, Bundle, Row
+from fgloc.errors import FglocError
+from fgloc.factors.gtsam_factors import Bundle, Row
 
 STIFF = 1e-6
 """Smallest standard deviation of the calibration's walk over one segment, in solver units: a
@@ -101,10 +102,15 @@ class Window:
         """Return the gtsam key of a keyframe's calibration segment."""
         return segment_key(self.frames[keyframe].segment)
 
-    def holds(self, row: Row) -> bool:
-        """Return whether all keyframes that the row touches are in the window."""
-        first = int(row.table.first[row.index])
-        return self.oldest <= first and row.keyframe <= self.newest
+    def check(self, row: Row, newest: int) -> None:
+        """Raise `FglocError` for a row that is not finite or outside the window up to `newest`."""
+        table = row.table
+        numbers = table.measurements[row.index], table.sqrt_information[row.index], row.weight
+        if not all(np.isfinite(n).all() for n in numbers):
+            raise FglocError(f"{table.sensor}: a measurement is not finite")
+        first = int(table.first[row.index])
+        if first < self.oldest or row.keyframe > newest:
+            raise FglocError(f"{table.sensor}: keyframe {first} is not in the window")
 
     def attach(self, bundle: Bundle) -> None:
         """Give a bundle its factor and keep it until its oldest keyframe leaves."""
@@ -146,8 +152,3 @@ def bundled(rows: Sequence[Row]) -> list[Bundle]:
     for row in rows:
         groups.setdefault((row.keyframe, row.landmark >= 0), []).append(row)
     return [Bundle(group) for group in groups.values()]
-
-
-def empty_landmarks() -> Floats:
-    """Return the (0, 2) landmarks of a bundle that sees none."""
-    return np.zeros((0, LANDMARK))
