@@ -177,7 +177,7 @@ class IncrementalGraph:
                 solver.update(*look, forget)
                 if forget:
                     window.forget_before(horizon)
-                solver.value(frame_key(window.newest))
+                self._upkeep.settle(solver, window)
                 self._upkeep.reweigh(solver, window)
                 self._take_snapshot()
             except Exception as fault:  # GTSAM raises RuntimeError, IndexError, ValueError, ...

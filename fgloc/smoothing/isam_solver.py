@@ -22,6 +22,8 @@ ENDLESS = 1e18
 """Lag [s] of a smoother that never forgets."""
 NEVER = 1 << 30
 """Updates between relinearisations that nobody asked for."""
+FAR = 1e9
+"""An estimate beyond this (m, rad) is rounding noise of a variable that nothing determines."""
 
 
 class UnhealthyError(RuntimeError):
@@ -123,8 +125,11 @@ class Solver:
         self._clear()
 
     def value(self, key: int) -> Floats:
-        """Return a variable's estimate; raises `UnhealthyError` if it is not finite."""
-        return _finite(self._smoother.calculateEstimateVector(key), "estimate")
+        """Return a variable's estimate; raises `UnhealthyError` if it cannot be one."""
+        value = _finite(self._smoother.calculateEstimateVector(key), "estimate")
+        if np.abs(value).max() > FAR:
+            raise UnhealthyError("iSAM2 returned an estimate out of this world")
+        return value
 
     def covariance(self, key: int) -> Floats:
         """Return a variable's marginal covariance (n, n); raises `UnhealthyError`."""

@@ -12,6 +12,8 @@ from fgloc.smoothing.isam_window import Window, frame_key, landmark_key, segment
 
 PROBES = 5
 """Older keyframes that are probed for having moved far."""
+MORE_STEPS = 2
+"""Further Gauss–Newton steps where the first was large."""
 
 
 class Upkeep:
@@ -20,6 +22,18 @@ class Upkeep:
     def __init__(self, settings: IncrementalSettings) -> None:
         self._settings = settings
         self._turn = 0
+
+    def settle(self, solver: Solver, window: Window) -> None:
+        """Linearise anew and solve again while the newest keyframe is far from its guess.
+
+        As after a fix that ends a long time without, or a late one: one linear step from a wrong
+        heading may be off by more than its own sigma.
+        """
+        far = self._settings.relinearize_far * self._settings.relinearize_threshold
+        for _ in range(MORE_STEPS):
+            if solver.moved(frame_key(window.newest)) <= far:
+                return
+            solver.update(relinearise=True, forget=False)
 
     def forgets(self, updates: int, window: Window) -> bool:
         """Return whether this update drops what is older than the lag."""
@@ -49,7 +63,8 @@ class Upkeep:
         far = settings.relinearize_far * settings.relinearize_threshold
         older = range(window.oldest, recent)
         samples = older[:: max(len(older) // PROBES, 1)]
-        if any(solver.moved(frame_key(k)) > far for k in samples):
+        known = (key for key in map(frame_key, samples) if solver.knows(key))
+        if any(solver.moved(key) > far for key in known):
             return True, []
         # What is tied to old keyframes moves little, and would take half the window along.
         keys = [frame_key(k) for k in older]

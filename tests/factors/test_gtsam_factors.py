@@ -131,7 +131,7 @@ def test_a_wheel_row_says_what_gtsams_own_between_factor_says() -> None:
         Kind.WHEEL, "w", np.array([1]), motion[None], np.diag(1 / sigma)[None], slice(0, 0)
     )
     start = gtsam.Pose2(*STATES[1, :3])
-    end = start.compose(gtsam.Pose2(*(motion + [2e-6, -1e-6, 3e-6])))
+    end = start.compose(gtsam.Pose2(*(motion + np.array([2e-6, -1e-6, 3e-6]))))
     states = STATES.copy()
     states[2, :3] = end.x(), end.y(), end.theta()
     poses = gtsam.Values()

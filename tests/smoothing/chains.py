@@ -28,13 +28,15 @@ class Chain:
     seed: int = 0
     fix_every: int = 10
     """Keyframes from one position fix to the next, 0 for none."""
+    calibration_sigma: float = CALIBRATION_SIGMA
+    """Standard deviation of the calibration's prior, from which the truth is drawn."""
     truth: list[Floats] = field(default_factory=lambda: [np.zeros(3)])
     guesses: list[Floats] = field(default_factory=lambda: [np.zeros(3)])
     tables: list[FactorTable] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.rng = np.random.default_rng(self.seed)
-        self.u = self.rng.normal(size=3) * CALIBRATION_SIGMA
+        self.u = self.rng.normal(size=3) * self.calibration_sigma
 
     @property
     def newest(self) -> int:
@@ -47,7 +49,7 @@ class Chain:
             Kind.POSE_FIX, "start", np.array([0]), pose, np.diag(1 / START_SIGMA)[None], NONE
         )
         self.tables.append(prior)
-        spread = np.eye(3) * CALIBRATION_SIGMA**2
+        spread = np.eye(3) * self.calibration_sigma**2
         graph.start(0.0, 0, np.zeros(3), rows_of(prior), np.zeros(3), spread)
         graph.update()
 
@@ -76,6 +78,7 @@ class Chain:
         """Drive one keyframe and give it to the graph, with a fix if it is time for one."""
         wheels, jacobian = self.drive()
         k = self.newest
+        # A graph that was not updated cannot be asked for its newest state.
         before = graph.state(k - 1) if update else self.guesses[-1]
         u = graph.calibration() if update else np.zeros(3)
         guess = compose(before, wheels.measurements[0, :3] + jacobian @ u)
@@ -96,7 +99,7 @@ class Chain:
     def batch(self) -> tuple[Floats, Floats, ArrowSolution]:
         """Return states, calibration and last step with covariances of the whole chain's batch."""
         tables, u = merged(self.tables), np.zeros(3)
-        states, prior = np.array(self.guesses), np.eye(3) / CALIBRATION_SIGMA
+        states, prior = np.array(self.guesses), np.eye(3) / self.calibration_sigma
         for _ in range(30):
             linear = []
             for t in tables:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -60,12 +61,6 @@ def point(keyframe: int, landmark: int, pose: Floats, place: Floats) -> FactorTa
     )
 
 
-def indeterminate(keyframe: int, landmark: int, pose: Floats, place: Floats) -> FactorTable:
-    """Return a sighting that says nothing of the bearing: the landmark is not determined."""
-    table = point(keyframe, landmark, pose, place)
-    return replace(table, sqrt_information=np.diag([50.0, 0.0])[None])
-
-
 # -- agreement ---------------------------------------------------------------------------------
 
 
@@ -95,23 +90,29 @@ def test_the_newest_state_is_that_of_a_batch_solution(lag: float | None) -> None
     assert max(off(a, b)[0] for a, b in zip(recent, states[-51:], strict=True)) < 2e-3
 
 
-def test_a_late_fix_counts_where_it_belongs_and_a_later_one_is_returned() -> None:
+def test_a_late_fix_counts_where_it_belongs_at_once() -> None:
+    # It moves the newest keyframe by decimetres: one linear step would be off by its sigma.
     chain = Chain(seed=2, fix_every=0)
-    made = started(chain, IncrementalSettings(lag_s=10.0), 130)
-    late = chain.fix(40, sigma=0.001)
+    made = started(chain, keyframes=130)
+    late, before = chain.fix(40), made.state(130)
     assert made.add_rows(rows_of(late)) == []
+    made.update()
     chain.tables.append(late)
-    chain.run(made, 10)
     states, _, _ = chain.batch()
-    distance, angle = off(made.state(chain.newest), states[-1])
+    assert off(before, states[-1])[0] > 0.3
+    distance, angle = off(made.state(130), states[-1])
     assert distance < 2e-3
     assert angle < 0.1
-    assert made.oldest == 40
-    too_late = rows_of(chain.fix(39))
-    before = made.state(chain.newest)
+
+
+def test_what_comes_too_late_is_returned() -> None:
+    chain = Chain(seed=2)
+    made = started(chain, SHORT, 100)
+    assert made.oldest == 60
+    before, too_late = made.state(100), rows_of(chain.fix(59))
     assert made.add_rows(too_late) == too_late
     made.update()
-    assert np.array_equal(made.state(chain.newest), before)
+    assert np.array_equal(made.state(100), before)
 
 
 def test_the_same_rows_give_the_same_bytes() -> None:
@@ -191,7 +192,9 @@ def test_dead_reckoning_does_not_fail() -> None:
     chain = Chain(seed=6, fix_every=0)
     made = started(chain, SHORT, 1000)
     assert made.rebuilds == 0
-    assert mahalanobis(made, chain.truth[-1]) < 4.0
+    # Nothing contradicts the wheels, so their sum at the nominal calibration stands.
+    assert off(made.state(1000), chain.guesses[-1])[0] < 1e-6
+    np.testing.assert_allclose(made.calibration(), 0.0, atol=1e-9)
 
 
 def test_an_hour_of_silence_ends_the_window_and_nothing_else() -> None:
@@ -206,7 +209,7 @@ def test_an_hour_of_silence_ends_the_window_and_nothing_else() -> None:
     expected.update()
     assert made.oldest == made.newest == 61
     assert made.rebuilds == 0
-    np.testing.assert_allclose(made.state(61), expected.state(61), atol=1e-4)
+    np.testing.assert_allclose(made.state(61), expected.state(61), atol=1e-3)
     np.testing.assert_allclose(made.covariance(61), expected.covariance(61), rtol=1e-2, atol=1e-8)
     assert jacobian.shape == (3, 3)
 
@@ -214,21 +217,40 @@ def test_an_hour_of_silence_ends_the_window_and_nothing_else() -> None:
 # -- failures ----------------------------------------------------------------------------------
 
 
-def test_an_indeterminate_system_is_rebuilt_without_a_wrong_state() -> None:
+def dangle(made: IncrementalGraph, chain: Chain) -> None:
+    """Queue two variables that nothing ties to the rest."""
+    for key in (1, 2):
+        made._solver.insert(key, np.zeros(3), 9.0)
+    made._solver.add_walk(1, 2, np.ones(3))
+
+
+def overflow(made: IncrementalGraph, chain: Chain) -> None:
+    """Add a fix whose weight is beyond all numbers."""
+    fix = chain.fix(90)
+    made.add_rows(rows_of(replace(fix, sqrt_information=np.full((1, 2, 2), 1e300))))
+
+
+@pytest.mark.parametrize(
+    ("provoke", "lost"), [(dangle, {}), (overflow, {"fix": 1})], ids=["dangling", "overflow"]
+)
+def test_an_indeterminate_system_is_rebuilt_without_a_wrong_state(
+    provoke: Callable[[IncrementalGraph, Chain], None], lost: dict[str, int]
+) -> None:
     chain, twin = Chain(seed=8), Chain(seed=8)
     made, healthy = started(chain, SHORT, 90), started(twin, SHORT, 90)
-    made.add_landmark(7, np.array([3.0, 3.0]))
-    made.add_rows(rows_of(indeterminate(90, 7, chain.truth[90], np.array([3.0, 3.0]))))
+    provoke(made, chain)
+    chain.rng = np.random.default_rng(1)
+    twin.rng = np.random.default_rng(1)
     chain.step(made)
     twin.step(healthy)
     assert made.rebuilds == 1
     assert made.restarts == 0
     assert "ndeterminate" in made.last_fault
-    # What the failed update brought is gone, the wheels of its keyframe are not.
-    assert made.dropped == {"lidar": 1}
+    # What the failed update brought is gone if need be, the wheels of its keyframe are not.
+    assert made.dropped == lost
     assert off(made.state(91), healthy.state(91))[0] < 1e-3
     assert off(made.state(60), healthy.state(60))[0] < 1e-3
-    np.testing.assert_allclose(made.covariance(91), healthy.covariance(91), rtol=0.01, atol=1e-9)
+    np.testing.assert_allclose(made.covariance(91), healthy.covariance(91), rtol=0.02, atol=1e-7)
     np.testing.assert_allclose(made.calibration(), healthy.calibration(), atol=1e-4)
     chain.run(made, 50)
     twin.run(healthy, 50)
@@ -263,7 +285,7 @@ def test_what_cannot_be_saved_starts_anew_and_knows_how_little_it_knows() -> Non
     healthy = made.covariance(95)
     wheels, jacobian = chain.drive()
     guess = made.state(95) + jacobian @ chain.u
-    absurd = replace(wheels, measurements=np.full((1, 12), 1e300))
+    absurd = replace(wheels, sqrt_information=np.full((1, 3, 3), 1e300))
     made.add(9.6, 96, guess, rows_of(absurd))
     chain.guesses.append(guess)
     made.update()
@@ -325,15 +347,17 @@ def test_a_landmark_out_of_sight_is_archived_and_comes_back() -> None:
     chain.run(made, 60)
     assert list(made.archive) == [5]
     archived, spread = made.landmark(5)
-    np.testing.assert_allclose(archived, value, atol=0.02)
+    error = archived - place
+    assert error @ np.linalg.solve(spread, error) < 16.0
     assert np.sqrt(np.diag(spread)).max() < 0.05
     made.add_rows(rows_of(point(chain.newest, 5, chain.truth[-1], place)))
     made.update()
     assert not made.archive
     assert made.rebuilds == 0
     back, known = made.landmark(5)
-    np.testing.assert_allclose(back, archived, atol=0.1)
-    assert np.sqrt(np.diag(known)).max() < 0.1
+    error = back - place
+    assert error @ np.linalg.solve(known, error) < 16.0
+    assert np.linalg.det(known) < np.linalg.det(settings.reentry_inflation * spread)
 
 
 def test_a_loop_closed_from_the_last_keyframe_to_the_first_does_not_crash() -> None:
@@ -341,20 +365,25 @@ def test_a_loop_closed_from_the_last_keyframe_to_the_first_does_not_crash() -> N
     found: list[float] = []
 
     def close() -> None:
-        chain = Chain(seed=13, fix_every=0)
+        chain = Chain(seed=13, fix_every=0, calibration_sigma=1e-5)
         made, place = started(chain, IncrementalSettings(lag_s=None)), np.array([1.0, 1.0])
         made.add_landmark(0, place)
         made.add_rows(rows_of(point(0, 0, chain.truth[0], place)))
         for _ in range(3000):
-            chain.step(made, update=chain.newest % 300 == 299)
-        made.update()
+            chain.step(made, update=False)
+            if chain.newest % 300 == 0:
+                made.update()
         before = off(made.state(3000), chain.truth[-1])[0]
         made.add_rows(rows_of(point(3000, 0, chain.truth[-1], place)))
         made.update()
         # Large steps need to be linearised again.
-        for _ in range(60):
+        for _ in range(10):
+            made.add_rows(rows_of(point(chain.newest, 0, chain.truth[-1], place)))
             chain.step(made)
-        found.extend([before, off(made.state(3060), chain.truth[-1])[0], float(made.rebuilds)])
+        # One point says how far the robot is from it, not where on the circle.
+        end, truth = made.state(3010)[:2] - place, chain.truth[-1][:2] - place
+        off_circle = float(abs(np.hypot(*end) - np.hypot(*truth)))
+        found.extend([before, off_circle, float(made.rebuilds)])
 
     previous = threading.stack_size(512 << 20)
     try:
@@ -365,5 +394,5 @@ def test_a_loop_closed_from_the_last_keyframe_to_the_first_does_not_crash() -> N
         threading.stack_size(previous)
     before, after, rebuilds = found
     assert rebuilds == 0
-    assert np.isfinite(before)
-    assert np.isfinite(after)
+    assert before > 0.5
+    assert after < 0.1
