@@ -5,6 +5,11 @@ Should one of these fail with a newer GTSAM, a reason for the present design has
 
 from __future__ import annotations
 
+import pickle
+import subprocess
+import sys
+import threading
+
 import gtsam
 import numpy as np
 import pytest
@@ -183,3 +188,158 @@ def test_fact_9_gtsams_logarithm_has_a_wrong_derivative_near_1e_5() -> None:
 
     assert defect(0.3) < 1e-9
     assert defect(2e-5) > 1e-3
+
+
+def shared_vector(
+    smoother: gtsam.IncrementalFixedLagSmoother, first: int, end: int, restamp: bool
+) -> None:
+    """Add poses first ≤ k < end, one a second, and a shared variable 999 that every one sees."""
+    tight = gtsam.noiseModel.Isotropic.Sigma(3, 1e-2)
+    for k in range(first, end):
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        stamps = {k: float(k)}
+        if k == 0:
+            graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(), tight))
+            graph.add(gtsam.PriorFactorPose2(999, gtsam.Pose2(), tight))
+            values.insert(999, gtsam.Pose2())
+            stamps[999] = 0.0
+        else:
+            graph.add(gtsam.BetweenFactorPose2(k - 1, k, STEP, tight))
+            if restamp or k < 5:
+                graph.add(gtsam.BetweenFactorPose2(999, k, gtsam.Pose2(0.1 * k, 0.0, 0.0), tight))
+        if restamp:
+            stamps[999] = float(k)
+        values.insert(k, gtsam.Pose2(0.1 * k, 0.0, 0.0))
+        smoother.update(graph, values, stamps)
+
+
+def test_fact_6_what_is_not_stamped_again_is_lost() -> None:
+    smoother = gtsam.IncrementalFixedLagSmoother(6.0, gtsam.ISAM2Params())
+    shared_vector(smoother, 0, 12, restamp=True)
+    assert smoother.calculateEstimatePose2(999).x() == pytest.approx(0.0, abs=1e-9)
+    # Without, an update or a read fails, whichever comes first.
+    smoother = gtsam.IncrementalFixedLagSmoother(6.0, gtsam.ISAM2Params())
+    with pytest.raises((IndexError, ValueError)):  # noqa: PT012
+        shared_vector(smoother, 0, 12, restamp=False)
+        smoother.calculateEstimatePose2(999)
+
+
+@pytest.mark.parametrize("reuse", [True, False])
+def test_fact_6_factor_slots_are_only_used_again_on_demand(reuse: bool) -> None:
+    settings = gtsam.ISAM2Params()
+    settings.findUnusedFactorSlots = reuse
+    smoother = gtsam.IncrementalFixedLagSmoother(6.0, settings)
+    shared_vector(smoother, 0, 60, restamp=True)
+    # Two factors a pose and one marginal; the window has seven poses.
+    assert (smoother.getFactors().size() < 30) == reuse
+    assert reuse or smoother.getFactors().size() > 150
+
+
+def scaled_chain(segment: int) -> tuple[gtsam.ISAM2, gtsam.ISAM2Result]:
+    """Return a chain of 200 poses whose scale jumps at its end, a key for `segment` of them.
+
+    Pose k is the one before plus 0.1 m times the scale; a late fix says that it was 5 % off.
+    """
+    settings = gtsam.ISAM2Params()
+    settings.relinearizeSkip = 1
+    settings.setRelinearizeThreshold(0.01)
+    isam = gtsam.ISAM2(settings)
+    held = isam.getLinearizationPoint()
+    unit, count = gtsam.noiseModel.Unit.Create(1), 200
+    tight, walk = (gtsam.noiseModel.Isotropic.Sigma(1, s) for s in (1e-3, 1e-2))
+
+    def step(k: int) -> gtsam.CustomFactor:
+        keys = [k - 1, k, 1000 + k // segment]
+
+        def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Floats]) -> Floats:
+            x, y, scale = (values.atVector(key) for key in keys)
+            if jacobians is not None:
+                jacobians[0], jacobians[1] = np.full((1, 1), -1e3), np.full((1, 1), 1e3)
+                jacobians[2] = -100.0 * np.exp(scale)[None]
+            return np.asarray(1e3 * (y - x - 0.1 * np.exp(scale)))
+
+        return gtsam.CustomFactor(unit, keys, error)
+
+    for k in range(count):
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        values.insert(k, np.array([0.1 * k]))
+        if k % segment == 0:
+            key = 1000 + k // segment
+            values.insert(key, np.zeros(1))
+            graph.add(gtsam.PriorFactorVector(key, np.zeros(1), gtsam.noiseModel.Unit.Create(1)))
+            if k:
+                graph.add(gtsam.BetweenFactorVector(key - 1, key, np.zeros(1), walk))
+        if k % 20 == 0:
+            graph.add(gtsam.PriorFactorVector(k, np.array([0.1 * k]), tight))
+        if k:
+            graph.add(step(k))
+        isam.update(graph, values)
+    graph = gtsam.NonlinearFactorGraph()
+    # Tight fixes hold all that is old; the newest segment alone is told of another scale.
+    last = 1000 + (count - 1) // segment
+    graph.add(
+        gtsam.PriorFactorVector(last, np.full(1, 0.05), gtsam.noiseModel.Isotropic.Sigma(1, 1e-5))
+    )
+    isam.update(graph, gtsam.Values())
+    assert held.size() == isam.getLinearizationPoint().size()
+    return isam, isam.update()
+
+
+def test_fact_7_one_calibration_key_makes_a_late_jump_move_everything() -> None:
+    _, shared = scaled_chain(segment=1000)
+    _, segments = scaled_chain(segment=50)
+    assert shared.getVariablesReeliminated() > 195
+    assert segments.getVariablesReeliminated() < 120
+
+
+def test_fact_8_callbacks_let_other_threads_see_half_an_update() -> None:
+    isam = gtsam.ISAM2(gtsam.ISAM2Params())
+    held = isam.getLinearizationPoint()
+    inside, looked = threading.Event(), threading.Event()
+    seen: list[tuple[bool, bool]] = []
+
+    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Floats]) -> Floats:
+        inside.set()
+        looked.wait(10.0)
+        if jacobians is not None:
+            jacobians[0] = np.eye(3)
+        return values.atVector(0) - 1.0
+
+    def look() -> None:
+        inside.wait(10.0)
+        # The variable is there, its solution is not.
+        try:
+            isam.calculateEstimateVector(0)
+            solved = True
+        except (IndexError, RuntimeError):
+            solved = False
+        seen.append((held.exists(0), solved and isam.calculateEstimateVector(0)[0] == 1.0))
+        looked.set()
+
+    other = threading.Thread(target=look)
+    other.start()
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.add(gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(3), [0], error))
+    values.insert(0, np.zeros(3))
+    isam.update(graph, values)
+    other.join()
+    assert seen == [(True, False)]
+    np.testing.assert_allclose(isam.calculateEstimateVector(0), 1.0)
+
+
+def test_fact_8_a_custom_factor_cannot_be_sent_to_another_process() -> None:
+    factor = gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(3), [0], lambda *_: np.zeros(3))
+    with pytest.raises((TypeError, RuntimeError)):
+        pickle.dumps(factor)
+
+
+def test_fact_10_what_users_start_first_loads_none_of_the_heavy_libraries() -> None:
+    # That open3d loads without libusb-1.0 is tested in tests/test_lazy.py.
+    script = (
+        "import sys, fgloc.cli\n"
+        "print([m for m in ('open3d', 'matplotlib', 'scipy', 'gtsam') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60
+    )
+    assert done.stdout.strip() == "[]", done.stderr
