@@ -32,7 +32,15 @@ FORMAT = 1
 """Version of the file."""
 Labels = Mapping[str, str | int | bool]
 """What a caller wants to find with the state again."""
-DAMAGED = (EOFError, LookupError, TypeError, ValueError, AttributeError, ImportError, zipfile.BadZipFile)
+DAMAGED = (
+    EOFError,
+    LookupError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    ImportError,
+    zipfile.BadZipFile,
+)
 """What reading nonsense raises."""
 
 

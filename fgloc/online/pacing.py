@@ -35,11 +35,11 @@ class Pace:
             self._worth_saying = 2.0 * late
             self._say(f"the engine is {late:.1f} s behind")
 
-    def verdict(self) -> str:
-        """Return a sentence if the engine was behind at the end; "" if it kept up."""
+    def verdict(self) -> list[str]:
+        """Return a sentence if the engine was behind at the end; none if it kept up."""
         if not self.late_s or self.late_s[-1] < BEHIND_S:
-            return ""
-        return (
+            return []
+        return [
             f"the engine could not keep up with {self._speed:g} times real time: the last packet "
             f"waited {self.late_s[-1]:.1f} s"
-        )
+        ]

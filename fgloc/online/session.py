@@ -52,6 +52,7 @@ class Session:
         self._folder = None
         self._updates: list[float] = []
         self._saves: list[float] = []
+        self._late: Spread | None = None
         self._packets = 0
         if options.folder is not None:
             self._folder = CheckpointFolder(options.folder, drive)
@@ -95,9 +96,9 @@ class Session:
                     saved_ns = self.engine.now_ns
                     self._save(finished=False)
             self._save(finished=True)
-        self._late = None if pace is None else Spread.of(pace.late_s)
-        if pace is not None and pace.verdict():
-            self.notes.append(pace.verdict())
+        if pace is not None:
+            self._late = Spread.of(pace.late_s)
+            self.notes += pace.verdict()
 
     @property
     def live(self) -> Live:

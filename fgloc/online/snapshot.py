@@ -105,9 +105,7 @@ class Writer:
 class Reader:
     """Turns nodes back into values; the order of nodes is that in which they were written."""
 
-    def __init__(
-        self, given: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]
-    ) -> None:
+    def __init__(self, given: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> None:
         self._given = given
         self._arrays = arrays
         self._known: list[Any] = []

@@ -32,6 +32,9 @@ class StopRequest:
         trace: TracebackType | None,
     ) -> None:
         self._restore()
+        if error is None:
+            # It came behind the last packet.
+            self.obey()
 
     def asked(self) -> bool:
         """Return True once a signal came."""
@@ -39,9 +42,10 @@ class StopRequest:
 
     def obey(self) -> None:
         """Do what the signal noted would have done, if one was; that usually raises."""
-        if self._signal is not None:
+        number, self._signal = self._signal, None
+        if number is not None:
             self._restore()
-            signal.raise_signal(self._signal)
+            signal.raise_signal(number)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         """Remember the first signal."""
