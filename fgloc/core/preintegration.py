@@ -33,6 +33,8 @@ class SplitIncrements:
     """(K,) index of the first piece after each keyframe; the last entry is M."""
     resolution: float
     """Encoder count [rad], 0 if continuous."""
+    share: Floats | None = None
+    """(M,) fraction of its encoder interval that each piece is; None if all are whole."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,7 @@ def split_at(wheels: WheelIncrements, keyframes_ns: Stamps) -> SplitIncrements:
         seconds=np.diff(cuts) * 1e-9,
         bounds=np.searchsorted(cuts, keyframes_ns).astype(np.int64),
         resolution=wheels.resolution,
+        share=fraction,
     )
 
 

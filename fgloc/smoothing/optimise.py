@@ -11,6 +11,7 @@ from fgloc.errors import FglocError
 from fgloc.smoothing.arrow import solve
 from fgloc.smoothing.minimise import CalibrationPrior, Point, linear_system, minimise
 from fgloc.smoothing.problem import Problem
+from fgloc.smoothing.rounding import without_rounding_bias
 from fgloc.smoothing.settings import Settings
 from fgloc.smoothing.sweep import reach, sweep
 
@@ -34,7 +35,8 @@ class Solution:
 def optimise(problem: Problem, settings: Settings) -> Solution:
     """Return the best trajectory and calibration of a problem.
 
-    First with plain quadratic costs (one basin), then with the robust losses from there.
+    First with plain quadratic costs (one basin), then with the robust losses from there, then
+    less the bias of rounded encoder counts.
     Raises FglocError if the system is indeterminate even with the largest damping. Each
     iteration is O(N): one linearisation, one elimination.
     """
@@ -50,6 +52,8 @@ def optimise(problem: Problem, settings: Settings) -> Solution:
     if settings.robust:
         point, more, converged = minimise(problem, settings, point.states, point.u, True)
         iterations += more
+    point, more = without_rounding_bias(problem, settings, point)
+    iterations += more
     solution = Solution(point, iterations, converged)
     if not settings.covariances:
         return solution
