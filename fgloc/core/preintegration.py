@@ -73,6 +73,19 @@ def split_at(wheels: WheelIncrements, keyframes_ns: Stamps) -> SplitIncrements:
     )
 
 
+def rounding_sigma(robot: Robot, resolution: float) -> Floats:
+    """Return (3,) how far rounded counts put the base from where it is: x, y [m], heading [rad].
+
+    Standard deviations in body axes for encoder counts of `resolution` [rad], 0 if continuous, at
+    the nominal robot with its wheels straight. A count is off by up to a half at every keyframe
+    anew, and what lengthens one increment shortens the next. That is no random walk: chained
+    increments stay this close to the base for ever. So it is noise of whatever is measured at a
+    keyframe, relative to the pose that the counts tell, and not noise of the increments.
+    """
+    gain = robot.base.displacements(np.eye(len(robot.base.driven)))
+    return np.asarray(np.sqrt(np.sum(gain**2, axis=0) / 12.0) * resolution)
+
+
 def preintegrate(
     split: SplitIncrements, robot: Robot, values: Floats | None = None
 ) -> Preintegrated:
@@ -102,7 +115,6 @@ def preintegrate(
                 noise.turning,
                 noise.standing,
                 noise.standing_turn,
-                split.resolution,
             ]
         ),
         out.displacement,
@@ -216,9 +228,10 @@ def _increment_covariance(
 ) -> None:
     """Write the covariance of one body displacement into `out`.
 
-    Rolling rows: slip over the wheel's own path plus the rounding of a moving encoder; lateral
-    rows: side slip over the path of the wheel; heading: scrub over the turned angle; a floor over
-    time. All variances grow with the path, so that the sampling rate does not matter.
+    Rolling rows: slip over the wheel's own path; lateral rows: side slip over the path of the
+    wheel; heading: scrub over the turned angle; a floor over time. All variances grow with the
+    path, so that the sampling rate does not matter. The rounding of counts does not grow with it
+    and is not here: see `rounding_sigma`.
     """
     path = np.sqrt(xi[0] * xi[0] + xi[1] * xi[1])
     out[:] = 0.0
@@ -226,9 +239,6 @@ def _increment_covariance(
         i = int(rows[k, 5])
         if rows[k, 6] == 0.0:
             variance = noise[0] * noise[0] * abs(rows[k, 3])
-            if rows[k, 3] != 0.0:
-                count = noise[5] * primitives[i, 3]
-                variance += count * count / 12.0
         else:
             arm = np.sqrt(primitives[i, 0] ** 2 + primitives[i, 1] ** 2)
             variance = noise[1] * noise[1] * (path + arm * abs(xi[2]))
