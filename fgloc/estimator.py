@@ -93,6 +93,8 @@ class Result:
     """One line on how the optimiser ended; empty for filters."""
     notes: tuple[str, ...] = ()
     """What a user should know about this estimate."""
+    calibration_covariance: Floats | None = None
+    """(G, G) covariance of `calibration` in its order and physical units; None if unknown."""
 
 
 class Estimator(Protocol):
