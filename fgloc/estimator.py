@@ -133,6 +133,8 @@ class Result:
     """What a user should know about this estimate."""
     live: Live | None = None
     """How it kept up; None for methods that see the whole drive at once."""
+    calibration_covariance: Floats | None = None
+    """(G, G) covariance of `calibration` in its order and physical units; None if unknown."""
 
 
 class Estimator(Protocol):

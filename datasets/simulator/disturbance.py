@@ -43,7 +43,12 @@ def disturb(
     unequal slip of the wheels would add. A base at rest does not move. O(M).
     """
     angles, steering = roll(base, values, steered, wanted)
-    radii = np.array([base.wheels[i].radius for i in base.driven])
+    # A roller wheel rolls, and slips, along its roller's axis: less than its radius' worth.
+    along = [
+        np.cos(base.wheels[i].roller) if base.wheels[i].kind == "roller" else 1.0
+        for i in base.driven
+    ]
+    radii = np.array([base.wheels[i].radius for i in base.driven]) * along
     sigma = noise.rolling * np.sqrt(np.abs(angles) * radii) / radii
     slipped = angles + sigma * _noise(angles.shape, step_s, rng)
     slip = base.displacements(slipped, steering, values) - base.displacements(

@@ -18,7 +18,7 @@ from fgloc.datasets.simulator.faults import Slip, apply_slip, describe, parse_sl
 from fgloc.datasets.simulator.models import FixModel
 from fgloc.datasets.simulator.motions import MOTIONS, Limits
 from fgloc.datasets.simulator.robots import RobotModel, build
-from fgloc.datasets.simulator.sensors import cut_normal, measure_all, measure_wheels
+from fgloc.datasets.simulator.sensors import CUT, cut_normal, measure_all, measure_wheels
 from fgloc.datasets.simulator.spec import SimSpec, parse
 from fgloc.datasets.simulator.streams import generator
 from fgloc.errors import FglocError
@@ -58,14 +58,19 @@ def load_sim(spec: str) -> Drive:
 def true_values(model: RobotModel, spec: SimSpec) -> Floats:
     """Return the (P,) true parameters: drawn from the priors, or nominal, then as stated.
 
-    Nothing drawn lies beyond 2.5 sigma. Raises FglocError for a track where the robot has none.
+    Nothing drawn lies beyond 2.5 sigma unless the spec asks for the whole prior. Raises FglocError
+    for a track where the robot has none.
     """
     base = model.robot.base
-    drawn = cut_normal(generator(spec.seed, "calibration"), len(base.parameters))
-    # Correlated as the prior says, and still within 2.5 sigma.
-    drawn = np.clip(np.linalg.cholesky(prior_correlation(base.parameters)) @ drawn, -2.5, 2.5)
+    rng = generator(spec.seed, "calibration")
+    correlate = np.linalg.cholesky(prior_correlation(base.parameters))
+    if spec.calibration == "prior":
+        drawn = correlate @ rng.standard_normal(len(base.parameters))
+    else:
+        # Correlated as the prior says, and still within 2.5 sigma.
+        drawn = np.clip(correlate @ cut_normal(rng, len(base.parameters)), -CUT, CUT)
     values = base.nominal()
-    if spec.calibration == "drawn":
+    if spec.calibration != "nominal":
         for k, p in enumerate(base.parameters):
             sigma = p.solver_sigma
             if spec.radius_sigma is not None and p.name.startswith("wheel_radius."):

@@ -46,7 +46,8 @@ class SimSpec:
     nominal_track: float | None = None
     """Track [m] that the drive states as nominal; None: the robot's own."""
     calibration: str = "drawn"
-    """drawn: the true parameters are drawn from their priors; nominal: they are as stated."""
+    """drawn: the true parameters are drawn from their priors, none beyond 2.5 sigma; prior: the
+    same without that limit, as statistics over many seeds need it; nominal: they are as stated."""
     radius_sigma: float | None = None
     """Relative sigma the true wheel radii are drawn with; None: that of their prior."""
     wheel_noise: float = 1.0
@@ -164,8 +165,8 @@ def _validate(spec: SimSpec) -> None:
             raise FglocError(f"{key}={value}: {key} must be greater than 0")
     if spec.seed < 0:
         raise FglocError(f"seed={spec.seed}: a seed must not be negative")
-    if spec.calibration not in ("drawn", "nominal"):
-        raise FglocError(f"calibration={spec.calibration}: write drawn or nominal")
+    if spec.calibration not in ("drawn", "prior", "nominal"):
+        raise FglocError(f"calibration={spec.calibration}: write drawn, prior or nominal")
     for sensor in ("encoder", "yaw", "gyro", "acc", "camera", "fix"):
         dropout = getattr(spec, sensor).dropout
         if not 0.0 <= dropout < 1.0:

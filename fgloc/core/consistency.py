@@ -44,20 +44,28 @@ def gate_threshold(probability: float, dof: int) -> float:
 
 
 def squared_normalised(error: Floats, covariance: Floats) -> float:
-    """Return eᵀP⁻¹e of an error (d,) with covariance (d, d), undivided; NaN without a usable P.
+    """Return eᵀP⁻¹e of an error (d,) with covariance (d, d), undivided; NaN without a usable P."""
+    return float(each_squared_normalised(error[None], covariance[None])[0])
 
-    P is brought to correlations first, so that metres and radians do not decide what is singular.
+
+def each_squared_normalised(errors: Floats, covariances: Floats) -> Floats:
+    """Return (N,) eᵀP⁻¹e of errors (N, d) with covariances (N, d, d), undivided. O(N d³).
+
+    NaN where P is not usable: not finite, zero on its diagonal, or singular. P is brought to
+    correlations first, so that metres and radians do not decide what is singular.
     """
-    if not bool(np.all(np.isfinite(covariance)) and np.all(np.isfinite(error))):
-        return float("nan")
-    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    if not bool(np.all(sigma > 0.0)):
-        return float("nan")
-    scaled = error / sigma
-    correlation = covariance / np.outer(sigma, sigma)
-    if float(np.linalg.eigvalsh(correlation)[0]) <= 1e-9:
-        return float("nan")
-    return float(scaled @ np.linalg.solve(correlation, scaled))
+    out = np.full(errors.shape[0], np.nan)
+    sigma = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
+    finite = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(errors).all(axis=1)
+    usable = np.flatnonzero(finite & (sigma > 1e-12).all(axis=1))
+    scaled = errors[usable] / sigma[usable]
+    outer = sigma[usable, :, None] * sigma[usable, None, :]
+    correlation = covariances[usable] / outer
+    regular = np.linalg.eigvalsh(correlation)[:, 0] > 1e-9
+    scaled, correlation = scaled[regular], correlation[regular]
+    solved = np.linalg.solve(correlation, scaled[:, :, None])[:, :, 0]
+    out[usable[regular]] = np.sum(scaled * solved, axis=1)
+    return out
 
 
 @dataclass(frozen=True)

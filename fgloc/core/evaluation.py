@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fgloc.core.compiled import compiled
+from fgloc.core.consistency import each_squared_normalised
 from fgloc.core.drive import Reference
 from fgloc.core.geometry import between, compose, interpolate
 from fgloc.core.measurements import Floats, Stamps
@@ -308,21 +309,9 @@ def relative_errors(estimate: Floats, truth: Floats, travelled: Floats) -> Float
 
 
 def _mean_nees(errors: Floats, covariances: Floats | None) -> tuple[float | None, int]:
-    """Return the mean of e' inv(P) e over rows with a regular P, and how many rows have none.
-
-    P is brought to correlations first, so that metres and radians do not decide what is singular.
-    """
+    """Return the mean of e' inv(P) e over rows with a regular P, and how many rows have none."""
     if covariances is None:
         return None, 0
-    sigma = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
-    usable = np.isfinite(covariances).all(axis=(1, 2)) & (sigma > 1e-12).all(axis=1)
-    scaled = errors[usable] / sigma[usable]
-    outer = sigma[usable, :, None] * sigma[usable, None, :]
-    correlation = covariances[usable] / outer
-    regular = np.linalg.eigvalsh(correlation)[:, 0] > 1e-9
-    scaled, correlation = scaled[regular], correlation[regular]
-    skipped = errors.shape[0] - scaled.shape[0]
-    if not scaled.shape[0]:
-        return None, skipped
-    solved = np.linalg.solve(correlation, scaled[:, :, None])[:, :, 0]
-    return float(np.mean(np.sum(scaled * solved, axis=1))), skipped
+    squared = each_squared_normalised(errors, covariances)
+    known = squared[np.isfinite(squared)]
+    return float(known.mean()) if known.size else None, squared.size - known.size

@@ -33,6 +33,8 @@ class SplitIncrements:
     """(K,) index of the first piece after each keyframe; the last entry is M."""
     resolution: float
     """Encoder count [rad], 0 if continuous."""
+    share: Floats | None = None
+    """(M,) fraction of its encoder interval that each piece is; None if all are whole."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,21 @@ def split_at(wheels: WheelIncrements, keyframes_ns: Stamps) -> SplitIncrements:
         seconds=np.diff(cuts) * 1e-9,
         bounds=np.searchsorted(cuts, keyframes_ns).astype(np.int64),
         resolution=wheels.resolution,
+        share=fraction,
     )
+
+
+def rounding_sigma(robot: Robot, resolution: float) -> Floats:
+    """Return (3,) how far rounded counts put the base from where it is: x, y [m], heading [rad].
+
+    Standard deviations in body axes for encoder counts of `resolution` [rad], 0 if continuous, at
+    the nominal robot with its wheels straight. A count is off by up to a half at every keyframe
+    anew, and what lengthens one increment shortens the next. That is no random walk: chained
+    increments stay this close to the base for ever. So it is noise of whatever is measured at a
+    keyframe, relative to the pose that the counts tell, and not noise of the increments.
+    """
+    gain = robot.base.displacements(np.eye(len(robot.base.driven)))
+    return np.asarray(np.sqrt(np.sum(gain**2, axis=0) / 12.0) * resolution)
 
 
 def preintegrate(
@@ -91,7 +107,7 @@ def preintegrate(
         rollers,
         np.array([base.rolling_weight, base.lateral_weight]),
         base.primitive_jacobian(),
-        _noise_array(robot.noise, split.resolution),
+        _noise_array(robot.noise),
         out.displacement,
         out.covariance,
         out.jacobian,
@@ -203,9 +219,10 @@ def _increment_covariance(
 ) -> None:
     """Write the covariance of one body displacement into `out`.
 
-    Rolling rows: slip over the wheel's own path plus the rounding of a moving encoder; lateral
-    rows: side slip over the path of the wheel; heading: scrub over the turned angle; a floor over
-    time. All variances grow with the path, so that the sampling rate does not matter.
+    Rolling rows: slip over the wheel's own path; lateral rows: side slip over the path of the
+    wheel; heading: scrub over the turned angle; a floor over time. All variances grow with the
+    path, so that the sampling rate does not matter. The rounding of counts does not grow with it
+    and is not here: see `rounding_sigma`.
     """
     path = np.sqrt(xi[0] * xi[0] + xi[1] * xi[1])
     out[:] = 0.0
@@ -213,9 +230,6 @@ def _increment_covariance(
         i = int(rows[k, 5])
         if rows[k, 6] == 0.0:
             variance = noise[0] * noise[0] * abs(rows[k, 3])
-            if rows[k, 3] != 0.0:
-                count = noise[5] * primitives[i, 3]
-                variance += count * count / 12.0
         else:
             arm = np.sqrt(primitives[i, 0] ** 2 + primitives[i, 1] ** 2)
             variance = noise[1] * noise[1] * (path + arm * abs(xi[2]))
@@ -230,13 +244,13 @@ def _increment_covariance(
 class Integrator:
     """The same integration one increment at a time, for one open interval."""
 
-    def __init__(self, robot: Robot, resolution: float) -> None:
+    def __init__(self, robot: Robot) -> None:
         base = robot.base
         self._base = base
         self._kinds, self._rollers = base.codes()
         self._weights = np.array([base.rolling_weight, base.lateral_weight])
         self._link = base.primitive_jacobian()
-        self._noise = _noise_array(robot.noise, resolution)
+        self._noise = _noise_array(robot.noise)
         self._bounds = np.array([0, 1], dtype=np.int64)
         self._displacement = np.zeros((1, 3))
         self._covariance = np.zeros((1, 3, 3))
@@ -290,7 +304,7 @@ class Integrator:
             )
 
 
-def _noise_array(noise: WheelNoise, resolution: float) -> Floats:
+def _noise_array(noise: WheelNoise) -> Floats:
     """Return the noise as the compiled integration takes it."""
     return np.array(
         [
@@ -299,6 +313,5 @@ def _noise_array(noise: WheelNoise, resolution: float) -> Floats:
             noise.turning,
             noise.standing,
             noise.standing_turn,
-            resolution,
         ]
     )

@@ -32,6 +32,7 @@ from fgloc.factors.tables import Kind
 from fgloc.online.aligning import Aligner
 from fgloc.online.clock import Clock
 from fgloc.online.fixes import Fix, FixTable
+from fgloc.online.incremental import IncrementalSmoother
 from fgloc.online.layout import Layout, make_layout
 from fgloc.online.propagate import Propagation
 from fgloc.online.settings import OnlineSettings
@@ -80,8 +81,10 @@ class OnlineEngine:
         self.layout: Layout = make_layout(robot, sensors, reference)
         self.window = Window(self.layout, self._loss(settings.wheel_loss), resolution)
         self.propagation = Propagation(self.layout, resolution)
-        self.smoother = WindowSmoother(self.window, settings)
-        self.trust = Trust(self.smoother)
+        chain = settings.engine == "chain"
+        make = WindowSmoother if chain else IncrementalSmoother
+        self.smoother: WindowSmoother | IncrementalSmoother = make(self.window, settings)
+        self.trust = Trust(self.smoother) if isinstance(self.smoother, WindowSmoother) else None
         self.clock = Clock()
         self.aligner: Aligner | None = None
         self.rebuilds = 0
@@ -355,7 +358,7 @@ class OnlineEngine:
         joint = self.propagation.joint()
         moved = self.propagation.displacement_covariance
         dropped = self.smoother.update(self.dirty, joint, moved)
-        if self.smoother.smoothed_whole:
+        if self.trust is not None and self.smoother.smoothed_whole:
             verdict = self.trust.look()
             if verdict is not None:
                 self._leave_out(verdict)

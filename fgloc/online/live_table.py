@@ -23,6 +23,7 @@ class LiveTable:
         slot: int = -1,
     ) -> None:
         measurement, dimension = sizes
+        self.dimension = dimension
         self.kind = kind
         self.sensor = sensor
         self.calibration = calibration

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from fgloc.smoothing.settings import Settings
 
@@ -21,6 +22,8 @@ class OnlineSettings(Settings):
     """The whole window is linearised anew after so many keyframes."""
     gate_probability: float = 0.999
     """A new measurement less likely than one minus this loses weight at once."""
+    engine: Literal["chain", "isam2"] = "chain"
+    """chain: square-root filter and smoother of this project; isam2: GTSAM's, for comparison."""
     calibration_walk: float = 1e-3
     """Change of the robot's own parameters that is allowed for: share of the prior's sigma over
     the square root of a second. Tyres warm, grounds change."""

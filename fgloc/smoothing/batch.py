@@ -8,6 +8,7 @@ import numpy as np
 
 from fgloc.core.drive import Drive
 from fgloc.core.geometry import rotate_covariance
+from fgloc.core.measurements import Floats
 from fgloc.core.trajectory import Trajectory
 from fgloc.errors import FglocError
 from fgloc.estimator import CalibrationEstimate, Result, SensorCount, SensorResiduals
@@ -94,6 +95,7 @@ def _result(
         counts={**counts, **unused},
         convergence=_convergence(solution),
         notes=tuple(notes),
+        calibration_covariance=_calibration_covariance(problem, solution),
     )
 
 
@@ -110,19 +112,29 @@ def _convergence(solution: Solution) -> str:
 def _calibration(problem: Problem, solution: Solution) -> tuple[CalibrationEstimate, ...]:
     """Return all calibration variables in physical units."""
     sigma = np.full(len(problem.parameters), np.nan)
-    if solution.calibration_covariance is not None:
-        sigma = np.sqrt(np.diag(solution.calibration_covariance))
+    covariance = _calibration_covariance(problem, solution)
+    if covariance is not None:
+        sigma = np.sqrt(np.diag(covariance))
     return tuple(
         CalibrationEstimate(
             name=p.name,
             nominal=p.nominal,
             value=p.to_value(float(u)),
-            sigma=float(s) * abs(p.derivative(float(u))),
+            sigma=float(s),
             prior_sigma=p.prior_sigma,
             unit=p.unit,
         )
         for p, u, s in zip(problem.parameters, solution.point.u, sigma, strict=True)
     )
+
+
+def _calibration_covariance(problem: Problem, solution: Solution) -> Floats | None:
+    """Return the (G, G) covariance of the calibration in physical units; None if not computed."""
+    if solution.calibration_covariance is None:
+        return None
+    pairs = zip(problem.parameters, solution.point.u, strict=True)
+    scale = np.array([p.derivative(float(u)) for p, u in pairs])
+    return np.asarray(solution.calibration_covariance * np.outer(scale, scale))
 
 
 def _residuals(problem: Problem, solution: Solution) -> tuple[SensorResiduals, ...]:

@@ -16,7 +16,7 @@ from fgloc.core.measurements import (
     Yaw,
     YawRate,
 )
-from fgloc.core.preintegration import preintegrate, split_at
+from fgloc.core.preintegration import preintegrate, rounding_sigma, split_at
 from fgloc.core.robot import Robot
 from fgloc.core.start import trim_to_truth
 from fgloc.factors.robust import PLAIN, Loss
@@ -54,8 +54,10 @@ def mount_parameters(
 class _Builder:
     """Collects calibration blocks, state columns and tables while a problem is built."""
 
-    def __init__(self, keyframes_ns: Stamps, robot: Robot) -> None:
+    def __init__(self, keyframes_ns: Stamps, robot: Robot, rounding: Floats) -> None:
         self.keyframes_ns = keyframes_ns
+        # (3,) sigma of a keyframe's pose, as the counts tell it: x, y, heading in body axes.
+        self.rounding = rounding
         base = robot.base.parameters
         self.free = tuple(k for k, p in enumerate(base) if p.prior_sigma > 0.0)
         self.parameters: list[Parameter] = [base[k] for k in self.free]
@@ -110,6 +112,13 @@ class _Builder:
         )
         return column
 
+    def rounded(self, sigma: Floats) -> Floats:
+        """Return the sigmas (M, 2 or 3) of fixes of a pose that rounded counts tell."""
+        # Fixes have map axes; the larger of the body's is at most a millimetre too cautious.
+        along = float(self.rounding[:2].max())
+        own = np.array([along, along, self.rounding[2]])[: sigma.shape[1]]
+        return np.asarray(np.hypot(sigma, own))
+
     def seconds(self) -> Floats:
         """Return (K-1,) durations between keyframes [s]."""
         return np.diff(self.keyframes_ns) * 1e-9
@@ -144,7 +153,7 @@ def _add_yaw(b: _Builder, sensor: Yaw, start: float, loss: Loss) -> None:
             sensor.sensor,
             first,
             np.ascontiguousarray(np.stack([reading, seconds], axis=1)[first]),
-            diagonal(np.full((first.size, 1), sensor.sigma)),
+            diagonal(np.full((first.size, 1), np.hypot(sensor.sigma, b.rounding[2]))),
             b.block(sensor.sensor, variables) if variables else slice(0, 0),
             loss,
             slot,
@@ -161,6 +170,7 @@ def _add_yaw_rate(b: _Builder, sensor: YawRate, loss: Loss) -> None:
         return
     seconds = b.seconds()
     slot, block = -1, slice(0, 0)
+    white = np.hypot(sensor.density * np.sqrt(seconds), np.sqrt(2.0) * b.rounding[2])
     sigma = max(sensor.bias_sigma, KNOWN)
     if sensor.bias_walk > 0.0:
         slot = b.slot(sensor.sensor, 0.0, sigma, sensor.bias_walk * np.sqrt(seconds))
@@ -173,7 +183,7 @@ def _add_yaw_rate(b: _Builder, sensor: YawRate, loss: Loss) -> None:
             sensor.sensor,
             first.astype(np.int64),
             np.stack([angle, seconds], axis=1)[first],
-            diagonal((sensor.density * np.sqrt(seconds))[first, None]),
+            diagonal(white[first, None]),
             block,
             loss,
             slot,
@@ -193,6 +203,7 @@ def _add_camera(b: _Builder, sensor: CameraPoses, loss: Loss) -> None:
     sigma = np.empty((first.size, 3))
     sigma[:, :2] = np.sqrt(sensor.position_walk**2 * path + sensor.position_sigma**2)[:, None]
     sigma[:, 2] = np.sqrt(sensor.heading_walk**2 * path + sensor.heading_sigma**2)
+    sigma = np.hypot(sigma, np.sqrt(2.0) * b.rounding)
     name = sensor.sensor
     parameters = mount_parameters(name, sensor.mount, sensor.mount_sigma)
     parameters.append(Parameter(f"{name}_scale", 1.0, max(sensor.scale_sigma, KNOWN), "1"))
@@ -228,7 +239,7 @@ def _add_fixes(b: _Builder, sensor: PositionFixes | PoseFixes, loss: Loss) -> No
             sensor.sensor,
             at[valid].astype(np.int64),
             np.concatenate([values[valid], mount], axis=1),
-            diagonal(sensor.sigma[valid]),
+            diagonal(b.rounded(sensor.sigma[valid])),
             b.mount(sensor.mount_name or sensor.sensor, sensor.mount, sensor.mount_sigma),
             loss,
         )
@@ -242,6 +253,7 @@ def _add_start(b: _Builder, drive: Drive, start: Floats, sigma: Floats) -> None:
     if drive.truth is not None:
         mount = drive.truth.mount
         block = b.mount(drive.truth.sensor, mount, drive.truth.mount_sigma)
+        sigma = b.rounded(sigma[None])[0]
     b.tables.append(
         FactorTable(
             Kind.POSE_FIX,
@@ -262,7 +274,8 @@ def build_problem(drive: Drive, settings: Settings) -> Problem:
     drive = trim_to_truth(drive)
     keyframes = choose_keyframes(drive, settings.keyframe_period_s)
     split = split_at(drive.wheels, keyframes)
-    builder = _Builder(keyframes, drive.robot)
+    rounding = rounding_sigma(drive.robot, drive.wheels.resolution)
+    builder = _Builder(keyframes, drive.robot, rounding)
     guess = first_guess(drive, keyframes, preintegrate(split, drive.robot))
     robust = settings.robust
     _add_start(builder, drive, guess.start, guess.start_sigma)

@@ -12,6 +12,7 @@ from fgloc.smoothing.arrow import ArrowSolution, solve
 from fgloc.smoothing.graduate import doubtful, second_look
 from fgloc.smoothing.minimise import CalibrationPrior, Point, linear_system, minimise
 from fgloc.smoothing.problem import Problem
+from fgloc.smoothing.rounding import without_rounding_bias
 from fgloc.smoothing.settings import Settings
 from fgloc.smoothing.sweep import reach, sweep
 
@@ -41,7 +42,8 @@ def optimise(problem: Problem, settings: Settings) -> Solution:
     """Return the best trajectory and calibration of a problem.
 
     First with plain quadratic costs (one basin), then with the robust losses from there; where
-    the result is doubtful, again by graduation from every plain solution there is.
+    the result is doubtful, again by graduation from every plain solution there is; then less the
+    bias of rounded encoder counts.
     Raises FglocError if the system is indeterminate even with the largest damping. Each
     iteration is O(N): one linearisation, one elimination.
     """
@@ -75,10 +77,14 @@ def optimise(problem: Problem, settings: Settings) -> Solution:
     if not converged:
         reached = last >= settings.max_iterations
         stopped = "the iteration limit was reached" if reached else "no step lowers the cost"
+    minimum = point
+    point, more = without_rounding_bias(problem, settings, minimum)
+    iterations += more
     solution = Solution(point, iterations, converged, stopped)
     if not settings.covariances:
         return solution
-    final = solve(linear_system(CalibrationPrior.of(problem), point), 0.0, with_covariance=True)
+    prior = CalibrationPrior.of(problem)
+    final = solve(linear_system(prior, point), 0.0, with_covariance=True)
     if final is None:
         raise FglocError(
             "the smoother's system is indeterminate: a sensor's noise or the robot's dimensions "
@@ -88,21 +94,24 @@ def optimise(problem: Problem, settings: Settings) -> Solution:
         solution,
         covariance=final.covariance,
         calibration_covariance=final.calibration_covariance,
-        next_step=_in_sigmas(final),
+        # What was taken away as bias is no step that is still to be made.
+        next_step=_in_sigmas(
+            final if point is minimum else solve(linear_system(prior, minimum)), final
+        ),
     )
 
 
-def _in_sigmas(final: ArrowSolution) -> float | None:
-    """Return the largest component of a step in marginal sigmas."""
-    if final.covariance is None or final.calibration_covariance is None:
+def _in_sigmas(step: ArrowSolution | None, final: ArrowSolution) -> float | None:
+    """Return the largest component of a step in marginal sigmas of the final solution."""
+    if step is None or final.covariance is None or final.calibration_covariance is None:
         return None
     variance = np.diagonal(final.covariance, axis1=1, axis2=2)
     shared = np.diag(final.calibration_covariance)
     return float(
         np.sqrt(
             max(
-                np.max(final.step**2 / variance),
-                np.max(final.calibration_step**2 / shared, initial=0.0),
+                np.max(step.step**2 / variance),
+                np.max(step.calibration_step**2 / shared, initial=0.0),
             )
         )
     )

@@ -90,6 +90,7 @@ class Problem:
                 steering=self.split.steering[pieces],
                 seconds=self.split.seconds[pieces],
                 bounds=self.split.bounds[begin:end] - pieces.start,
+                share=None if self.split.share is None else self.split.share[pieces],
             ),
             tables=tuple(tables),
             states=self.states[begin:end],

@@ -13,7 +13,7 @@ from fgloc.core import bases
 from fgloc.core.geometry import EXACT, compose, integrate
 from fgloc.core.kinematics import Wheel, WheeledBase
 from fgloc.core.measurements import Floats, Stamps, WheelIncrements
-from fgloc.core.preintegration import Preintegrated, preintegrate, split_at
+from fgloc.core.preintegration import Preintegrated, preintegrate, rounding_sigma, split_at
 from fgloc.core.robot import Robot, WheelNoise
 from fgloc.errors import FglocError
 
@@ -106,8 +106,7 @@ def sampled(base: WheeledBase, wheels: WheelIncrements, n: int) -> Floats:
     side = NOISE.lateral * np.sqrt(np.hypot(clean[:, 0], clean[:, 1]) + arm * np.abs(clean[:, 2]))
     for k in range(n):
         rolled = NOISE.rolling * np.sqrt(path) * rng.normal(size=path.shape) / radii
-        rounded = wheels.resolution * (rng.random(path.shape) - 0.5) * (path > 0)
-        twists = base.displacements(wheels.angles + rolled + rounded)
+        twists = base.displacements(wheels.angles + rolled)
         twists[:, 1] += side * rng.normal(size=(m, 2)).mean(axis=1)
         twists[:, :2] += NOISE.standing * np.sqrt(seconds)[:, None] * rng.normal(size=(m, 2))
         turning = NOISE.turning**2 * np.abs(clean[:, 2]) + NOISE.standing_turn**2 * seconds
@@ -118,7 +117,7 @@ def sampled(base: WheeledBase, wheels: WheelIncrements, n: int) -> Floats:
 
 def test_covariance_is_that_of_sampled_drives() -> None:
     base = BASES["differential"]
-    wheels = drive("differential", resolution=0.05)
+    wheels = drive("differential")
     pre = preintegrate(split_at(wheels, at(wheels, 0, 60)), Robot("r", base, NOISE))
     n = 4000
     errors = sampled(base, wheels, n) - pre.displacement[0]
@@ -227,9 +226,35 @@ def test_a_standing_robot_is_almost_but_not_quite_certain() -> None:
     wheels = WheelIncrements("wheels", stamps, np.zeros((n, 2)), ("left", "right"), resolution=0.1)
     pre = preintegrate(split_at(wheels, stamps[[0, n]]), Robot("r", BASES["differential"], NOISE))
     assert not pre.displacement.any()
-    # One second: the floors over time, and no rounding of encoders that do not move.
+    # One second: the floors over time.
     expected = np.diag([NOISE.standing**2, NOISE.standing**2, NOISE.standing_turn**2])
     np.testing.assert_allclose(pre.covariance[0], expected, rtol=1e-12, atol=1e-18)
+
+
+@pytest.mark.parametrize("name", ["differential", "skid", "mecanum", "omni3"])
+def test_rounded_counts_stay_near_the_base_however_long_the_drive(name: str) -> None:
+    base, count = BASES[name], 0.05
+    robot = Robot("r", base, NOISE)
+    planned = drive(name, 60).angles
+    rng = np.random.default_rng(4)
+    ends = []
+    # Counts of a cumulative encoder that began anywhere within its first count, 3 and 60 on.
+    for steps in (3, 60):
+        off = []
+        for _ in range(2000):
+            phase = rng.random(planned.shape[1])
+            # No two drives turn a wheel by the same fraction of a count.
+            true = (
+                planned[:steps] + count * rng.random(phase.size) * (np.arange(steps) == 0)[:, None]
+            )
+            total = np.vstack([np.zeros(phase.size), np.cumsum(true, axis=0)])
+            counted = np.diff(np.floor(total / count + phase), axis=0) * count
+            off.append(base.displacements(counted - true).sum(axis=0))
+        ends.append(np.std(off, axis=0))
+    sigma = rounding_sigma(robot, count)
+    # The start's rounding and the end's; 2000 draws of a sigma: 1.6 %.
+    np.testing.assert_allclose(ends, np.sqrt(2.0) * np.array([sigma, sigma]), rtol=0.08, atol=1e-9)
+    assert not rounding_sigma(robot, 0.0).any()
 
 
 @pytest.mark.parametrize(("first", "last"), [(-1, 60), (0, 61)])

@@ -225,6 +225,12 @@ def test_a_new_attribute_is_saved_or_refused_but_never_forgotten(
         save(engine, tmp_path / "state.npz")
 
 
+def test_isam2_is_refused_in_one_line(drive: Drive, tmp_path: Path) -> None:
+    engine = engine_for(drive, OnlineSettings(engine="isam2"))
+    with pytest.raises(FglocError, match="checkpoints need the engine chain"):
+        save(engine, tmp_path / "state.npz")
+
+
 def test_numbers_come_back_exactly(drive: Drive, tmp_path: Path) -> None:
     engine = engine_for(drive)
     values = [0.1, float("nan"), -0.0, float("inf"), 2**62 + 1, np.float64(1 / 3), np.int64(5)]
