@@ -41,8 +41,8 @@ from fgloc.online.streams import CameraStream, GyroStream, Stream, YawStream
 from fgloc.online.tally import Tally
 from fgloc.online.trust import Trust, Verdict
 from fgloc.online.window import HIDDEN, Window
-from fgloc.smoothing.build import FREE_HEADING, KNOWN
 from fgloc.smoothing.initial import ORIGIN_SIGMA
+from fgloc.smoothing.sensors import FREE_HEADING, bias_sigma, fix_sigma
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class OnlineEngine:
         self.settings = settings
         self.layout: Layout = make_layout(robot, sensors, reference)
         self.window = Window(self.layout, self._loss(settings.wheel_loss), resolution)
-        self.propagation = Propagation(self.layout, resolution)
+        self.propagation = Propagation(self.layout)
         chain = settings.engine == "chain"
         make = WindowSmoother if chain else IncrementalSmoother
         self.smoother: WindowSmoother | IncrementalSmoother = make(self.window, settings)
@@ -100,7 +100,6 @@ class OnlineEngine:
         self.waiting: list[Fix] = []
         self.now_ns = 0
         self.dirty: int | None = None
-        self._resolution = resolution
 
     def _loss(self, loss: Loss) -> Loss:
         """Return a sensor's loss, or none where nothing is to be robust."""
@@ -125,7 +124,8 @@ class OnlineEngine:
             known.add(0, np.zeros(6), np.eye(3) / ORIGIN_SIGMA, weight=1.0)
         else:
             row = np.concatenate([start.pose, start.mount])
-            known.add(0, row, np.diag(1.0 / start.sigma), weight=1.0)
+            sigma = fix_sigma(start.sigma, window.rounding)
+            known.add(0, row, np.diag(1.0 / sigma), weight=1.0)
         for sensor in self.sensors:
             self._open(sensor, stamp_ns)
         if start is None and self.fix_tables:
@@ -149,8 +149,7 @@ class OnlineEngine:
         elif isinstance(sensor, YawRate):
             loss = self._loss(settings.yaw_loss)
             self.streams[sensor.sensor] = GyroStream(sensor, place, loss, window, self._touch)
-            sigma = max(sensor.bias_sigma, KNOWN)
-            self._open_zero(sensor.sensor, place.slot, sigma, sensor.bias_walk)
+            self._open_zero(sensor.sensor, place.slot, bias_sigma(sensor), sensor.bias_walk)
         elif isinstance(sensor, CameraPoses):
             loss = self._loss(settings.camera_loss)
             self.streams[sensor.sensor] = CameraStream(sensor, place, loss, window, self._touch)
@@ -243,7 +242,7 @@ class OnlineEngine:
 
     def _moved(self, number: int, stamp_ns: int) -> Floats:
         """Return where the wheels had brought the robot at a stamp, seen from a keyframe before."""
-        integrator = Integrator(self.layout.robot, self._resolution)
+        integrator = Integrator(self.layout.robot)
         integrator.restart(self.layout.values(self.smoother.calibration))
         left = (stamp_ns - self.window.stamp(number)) * 1e-9
         pieces = self.window.split(number, number + 2)

@@ -13,6 +13,7 @@ from fgloc.factors.tables import Kind
 from fgloc.online.layout import Place
 from fgloc.online.live_table import LiveTable
 from fgloc.online.window import Window
+from fgloc.smoothing.sensors import fix_sigma
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,7 @@ class FixTable:
         d = len(sensor.mount)
         kind = Kind.POSE_FIX if d == 3 else Kind.POSITION_FIX
         self.dimension = d
+        self.rounding = window.rounding
         self.mount = np.zeros(3)
         self.mount[:d] = sensor.mount
         self.table: LiveTable = window.table(kind, sensor.sensor, (2 * d, d), place.block, loss)
@@ -51,4 +53,4 @@ class FixTable:
         """
         mount = self.mount if moved is None else compose(moved, self.mount)
         row = np.concatenate([fix.values, mount[: self.dimension]])
-        self.table.add(number, row, np.diag(1.0 / fix.sigma))
+        self.table.add(number, row, np.diag(1.0 / fix_sigma(fix.sigma, self.rounding)))

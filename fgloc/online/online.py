@@ -8,6 +8,7 @@ import numpy as np
 
 from fgloc.core.drive import Drive
 from fgloc.core.geometry import compose
+from fgloc.core.measurements import Floats
 from fgloc.core.start import start_pose, trim_to_truth
 from fgloc.estimator import CalibrationEstimate, Result
 from fgloc.online.engine import OnlineEngine, Start
@@ -48,6 +49,7 @@ class OnlineSmoother:
             counts={name: t.count() for name, t in engine.tally.items()},
             notes=(*notes(engine), *session.notes),
             live=session.live,
+            calibration_covariance=_calibration_covariance(engine),
         )
 
 
@@ -81,17 +83,25 @@ def start_of(drive: Drive) -> Start | None:
 
 def _calibration(engine: OnlineEngine) -> tuple[CalibrationEstimate, ...]:
     """Return the calibration as it is known at the end."""
-    posterior = engine.smoother.posterior
-    b = engine.layout.width
-    sigma = np.sqrt(np.diag(posterior.covariance)[b:])
+    covariance = _calibration_covariance(engine)
+    u = engine.smoother.posterior.calibration
     return tuple(
         CalibrationEstimate(
             name=p.name,
             nominal=p.nominal,
-            value=p.to_value(float(u)),
-            sigma=float(s) * abs(p.derivative(float(u))),
+            value=p.to_value(float(u[k])),
+            sigma=float(np.sqrt(covariance[k, k])),
             prior_sigma=p.prior_sigma,
             unit=p.unit,
         )
-        for p, u, s in zip(engine.layout.parameters, posterior.calibration, sigma, strict=True)
+        for k, p in enumerate(engine.layout.parameters)
     )
+
+
+def _calibration_covariance(engine: OnlineEngine) -> Floats:
+    """Return the (G, G) covariance of the calibration in physical units."""
+    posterior, layout = engine.smoother.posterior, engine.layout
+    pairs = zip(layout.parameters, posterior.calibration, strict=True)
+    scale = np.array([p.derivative(float(u)) for p, u in pairs])
+    own = posterior.covariance[layout.width :, layout.width :]
+    return np.asarray(own * np.outer(scale, scale))

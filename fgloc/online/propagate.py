@@ -14,9 +14,9 @@ from fgloc.online.smoother import Posterior
 class Propagation:
     """Accumulates wheel increments since an anchor keyframe, with calibrated parameters."""
 
-    def __init__(self, layout: Layout, resolution: float) -> None:
+    def __init__(self, layout: Layout) -> None:
         self._layout = layout
-        self._integrator = Integrator(layout.robot, resolution)
+        self._integrator = Integrator(layout.robot)
         self._scale = np.ones(len(layout.free))
         self._state = np.zeros(layout.width)
         self._joint = np.zeros((layout.size, layout.size))

@@ -20,6 +20,7 @@ from fgloc.factors.tables import Kind
 from fgloc.online.layout import Place
 from fgloc.online.window import Window
 from fgloc.smoothing.keyframes import MAX_GAP_S
+from fgloc.smoothing.sensors import camera_sigma, gyro_sigma, yaw_sigma
 
 GAP_NS = int(MAX_GAP_S * 1e9)
 Touch = Callable[[int], None]
@@ -93,7 +94,7 @@ class YawStream(Stream):
         self.epoch_ns = epoch_ns
         self.zero = float("nan")
         self.last_used = -1
-        self.root = np.array([[1.0 / sensor.sigma]])
+        self.root = np.array([[1.0 / yaw_sigma(sensor, window.rounding)]])
         self.table = window.table(Kind.YAW, sensor.sensor, (2, 1), place.block, loss, place.slot)
 
     def look(self, begin_ns: int, end_ns: int) -> None:
@@ -125,7 +126,7 @@ class GyroStream(Stream):
         self, sensor: YawRate, place: Place, loss: Loss, window: Window, touch: Touch
     ) -> None:
         super().__init__(sensor.sensor, window, touch)
-        self.density = sensor.density
+        self.noise = sensor
         self.table = window.table(
             Kind.YAW_RATE, sensor.sensor, (2, 1), place.block, loss, place.slot
         )
@@ -141,7 +142,8 @@ class GyroStream(Stream):
             if angle is None:
                 continue
             seconds = (second - first) * 1e-9
-            root = np.array([[1.0 / (self.density * np.sqrt(seconds))]])
+            sigma = gyro_sigma(self.noise, np.array([seconds]), self.window.rounding)
+            root = 1.0 / sigma[:, None]
             self.table.add(number, np.array([angle, seconds]), root)
             self.touch(number + 1)
 
@@ -195,12 +197,9 @@ class CameraStream(Stream):
             if first is None or second is None:
                 continue
             motion = between(first, second)
-            path = float(np.hypot(motion[0], motion[1]))
-            n = self.noise
-            along = np.sqrt(n.position_walk**2 * path + n.position_sigma**2)
-            turn = np.sqrt(n.heading_walk**2 * path + n.heading_sigma**2)
-            root = np.diag([1.0 / along, 1.0 / along, 1.0 / turn])
-            self.table.add(number, np.concatenate([motion, n.mount]), root)
+            sigma = camera_sigma(self.noise, motion[None], w.rounding)[0]
+            row = np.concatenate([motion, self.noise.mount])
+            self.table.add(number, row, np.diag(1.0 / sigma))
             self.touch(number + 1)
 
     def _pose(self, stamp_ns: int) -> Floats | None:

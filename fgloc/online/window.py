@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from fgloc.core.measurements import Floats, Stamps
-from fgloc.core.preintegration import SplitIncrements
+from fgloc.core.preintegration import SplitIncrements, rounding_sigma
 from fgloc.factors.robust import Loss
 from fgloc.factors.tables import FactorTable, Kind
 from fgloc.online.growing import GrowingArray
@@ -31,6 +31,8 @@ class Window:
     def __init__(self, layout: Layout, wheel_loss: Loss, resolution: float) -> None:
         self.layout = layout
         self.resolution = resolution
+        # (3,) how far rounded counts put a keyframe from where the base is, in body axes.
+        self.rounding = rounding_sigma(layout.robot, resolution)
         driven = len(layout.robot.base.driven)
         n = layout.size
         self.base = 0

@@ -6,7 +6,6 @@ import numpy as np
 
 from fgloc.core.drive import Drive
 from fgloc.core.geometry import between
-from fgloc.core.kinematics import Parameter
 from fgloc.core.measurements import (
     CameraPoses,
     Floats,
@@ -32,59 +31,36 @@ from fgloc.smoothing.keyframes import (
 )
 from fgloc.smoothing.problem import Problem, diagonal
 from fgloc.smoothing.remarks import remarks
+from fgloc.smoothing.sensors import (
+    FREE_HEADING,
+    Columns,
+    bias_sigma,
+    camera_parameters,
+    camera_sigma,
+    fix_sigma,
+    gyro_parameters,
+    gyro_sigma,
+    yaw_parameters,
+    yaw_sigma,
+)
 from fgloc.smoothing.settings import Settings
 
-KNOWN = 1e-6
-"""Sigma [m, rad] that stands for "known exactly" where a block has some free components."""
-FREE_HEADING = np.pi
-"""Prior sigma of an unknown heading [rad]."""
 
-
-def mount_parameters(
-    name: str, nominal: tuple[float, ...], sigma: tuple[float, ...]
-) -> list[Parameter]:
-    """Return `<name>_x`, `_y` and, for a pose, `_yaw`: where a sensor sits on the robot."""
-    labels = (("_x", "m"), ("_y", "m"), ("_yaw", "rad"))
-    return [
-        Parameter(name + suffix, value, max(s, KNOWN), unit)
-        for (suffix, unit), value, s in zip(labels, nominal, sigma, strict=False)
-    ]
-
-
-class _Builder:
+class _Builder(Columns):
     """Collects calibration blocks, state columns and tables while a problem is built."""
 
     def __init__(self, keyframes_ns: Stamps, robot: Robot, rounding: Floats) -> None:
+        super().__init__(robot)
         self.keyframes_ns = keyframes_ns
         # (3,) sigma of a keyframe's pose, as the counts tell it: x, y, heading in body axes.
         self.rounding = rounding
-        base = robot.base.parameters
-        self.free = tuple(k for k, p in enumerate(base) if p.prior_sigma > 0.0)
-        self.parameters: list[Parameter] = [base[k] for k in self.free]
-        self.width = 3
         self.tables: list[FactorTable] = []
         self.counts: dict[str, tuple[int, int]] = {}
         self.zeros: list[tuple[int, float]] = []
-        self._blocks: dict[str, slice] = {}
 
-    def block(self, name: str, parameters: list[Parameter]) -> slice:
-        """Return the columns of a sensor's calibration block, made on first use."""
-        if name not in self._blocks:
-            begin = len(self.parameters)
-            self.parameters += parameters
-            self._blocks[name] = slice(begin, begin + len(parameters))
-        return self._blocks[name]
-
-    def mount(self, name: str, nominal: tuple[float, ...], sigma: tuple[float, ...]) -> slice:
-        """Return the columns of a mounting block, or an empty slice where it is known exactly."""
-        if not any(s > 0.0 for s in sigma):
-            return slice(0, 0)
-        return self.block(f"{name} mount", mount_parameters(name, nominal, sigma))
-
-    def slot(self, sensor: str, first: float, sigma: float, walk: Floats) -> int:
+    def zero(self, sensor: str, first: float, sigma: float, walk: Floats) -> int:
         """Return a new state column for a drifting zero; `walk` (K-1,) are its step sigmas."""
-        column = self.width
-        self.width += 1
+        column = self.slot()
         self.zeros.append((column, first))
         k = walk.size
         empty = slice(0, 0)
@@ -112,13 +88,6 @@ class _Builder:
         )
         return column
 
-    def rounded(self, sigma: Floats) -> Floats:
-        """Return the sigmas (M, 2 or 3) of fixes of a pose that rounded counts tell."""
-        # Fixes have map axes; the larger of the body's is at most a millimetre too cautious.
-        along = float(self.rounding[:2].max())
-        own = np.array([along, along, self.rounding[2]])[: sigma.shape[1]]
-        return np.asarray(np.hypot(sigma, own))
-
     def seconds(self) -> Floats:
         """Return (K-1,) durations between keyframes [s]."""
         return np.diff(self.keyframes_ns) * 1e-9
@@ -136,16 +105,12 @@ def _add_yaw(b: _Builder, sensor: Yaw, start: float, loss: Loss) -> None:
     if not first.size:
         return
     zero = float(reading[first[0]] - start)
-    slot, variables = -1, []
+    slot = -1
     if sensor.drift_sigma > 0.0:
         walk = sensor.drift_sigma * np.sqrt(b.seconds())
-        slot = b.slot(sensor.sensor, zero, FREE_HEADING, walk)
+        slot = b.zero(sensor.sensor, zero, FREE_HEADING, walk)
     else:
-        variables.append(Parameter(f"{sensor.sensor}_zero", zero, FREE_HEADING, "rad"))
         reading = reading - zero
-    if sensor.drift_rate_sigma > 0.0:
-        rate = Parameter(f"{sensor.sensor}_drift", 0.0, sensor.drift_rate_sigma, "rad/s")
-        variables.append(rate)
     seconds = (b.keyframes_ns - b.keyframes_ns[0]) * 1e-9
     b.tables.append(
         FactorTable(
@@ -153,8 +118,8 @@ def _add_yaw(b: _Builder, sensor: Yaw, start: float, loss: Loss) -> None:
             sensor.sensor,
             first,
             np.ascontiguousarray(np.stack([reading, seconds], axis=1)[first]),
-            diagonal(np.full((first.size, 1), np.hypot(sensor.sigma, b.rounding[2]))),
-            b.block(sensor.sensor, variables) if variables else slice(0, 0),
+            diagonal(np.full((first.size, 1), yaw_sigma(sensor, b.rounding))),
+            b.block(sensor.sensor, yaw_parameters(sensor, zero)),
             loss,
             slot,
         )
@@ -169,22 +134,18 @@ def _add_yaw_rate(b: _Builder, sensor: YawRate, loss: Loss) -> None:
     if not first.size:
         return
     seconds = b.seconds()
-    slot, block = -1, slice(0, 0)
-    white = np.hypot(sensor.density * np.sqrt(seconds), np.sqrt(2.0) * b.rounding[2])
-    sigma = max(sensor.bias_sigma, KNOWN)
+    slot = -1
     if sensor.bias_walk > 0.0:
-        slot = b.slot(sensor.sensor, 0.0, sigma, sensor.bias_walk * np.sqrt(seconds))
-    else:
-        parameter = Parameter(f"{sensor.sensor}_bias", 0.0, sigma, "rad/s")
-        block = b.block(sensor.sensor, [parameter])
+        walk = sensor.bias_walk * np.sqrt(seconds)
+        slot = b.zero(sensor.sensor, 0.0, bias_sigma(sensor), walk)
     b.tables.append(
         FactorTable(
             Kind.YAW_RATE,
             sensor.sensor,
             first.astype(np.int64),
             np.stack([angle, seconds], axis=1)[first],
-            diagonal(white[first, None]),
-            block,
+            diagonal(gyro_sigma(sensor, seconds[first], b.rounding)[:, None]),
+            b.block(sensor.sensor, gyro_parameters(sensor)),
             loss,
             slot,
         )
@@ -199,23 +160,15 @@ def _add_camera(b: _Builder, sensor: CameraPoses, loss: Loss) -> None:
     if not first.size:
         return
     motion = between(poses[first], poses[first + 1])
-    path = np.hypot(motion[:, 0], motion[:, 1])
-    sigma = np.empty((first.size, 3))
-    sigma[:, :2] = np.sqrt(sensor.position_walk**2 * path + sensor.position_sigma**2)[:, None]
-    sigma[:, 2] = np.sqrt(sensor.heading_walk**2 * path + sensor.heading_sigma**2)
-    sigma = np.hypot(sigma, np.sqrt(2.0) * b.rounding)
-    name = sensor.sensor
-    parameters = mount_parameters(name, sensor.mount, sensor.mount_sigma)
-    parameters.append(Parameter(f"{name}_scale", 1.0, max(sensor.scale_sigma, KNOWN), "1"))
     nominal = np.broadcast_to(np.array(sensor.mount), (first.size, 3))
     b.tables.append(
         FactorTable(
             Kind.CAMERA,
-            name,
+            sensor.sensor,
             first.astype(np.int64),
             np.concatenate([motion, nominal], axis=1),
-            diagonal(sigma),
-            b.block(name, parameters),
+            diagonal(camera_sigma(sensor, motion, b.rounding)),
+            b.block(sensor.sensor, camera_parameters(sensor)),
             loss,
         )
     )
@@ -239,7 +192,7 @@ def _add_fixes(b: _Builder, sensor: PositionFixes | PoseFixes, loss: Loss) -> No
             sensor.sensor,
             at[valid].astype(np.int64),
             np.concatenate([values[valid], mount], axis=1),
-            diagonal(b.rounded(sensor.sigma[valid])),
+            diagonal(fix_sigma(sensor.sigma[valid], b.rounding)),
             b.mount(sensor.mount_name or sensor.sensor, sensor.mount, sensor.mount_sigma),
             loss,
         )
@@ -253,7 +206,7 @@ def _add_start(b: _Builder, drive: Drive, start: Floats, sigma: Floats) -> None:
     if drive.truth is not None:
         mount = drive.truth.mount
         block = b.mount(drive.truth.sensor, mount, drive.truth.mount_sigma)
-        sigma = b.rounded(sigma[None])[0]
+        sigma = fix_sigma(sigma, b.rounding)
     b.tables.append(
         FactorTable(
             Kind.POSE_FIX,
