@@ -160,8 +160,9 @@ class IncrementalSmoother:
         # iSAM2 gives marginals only: what pose and calibration have in common is left out of the
         # few centimetres to the next keyframe.
         joint[b:, b:] = graph.calibration_covariance()
-        root = np.linalg.inv(np.linalg.cholesky(joint))
-        self._posterior = Posterior(window.newest, self.calibration, root, joint)
+        joint = 0.5 * (joint + joint.T)
+        none = np.zeros((0, 0))
+        self._posterior = Posterior(window.newest, self.calibration, none, joint)
 
 
 def _copied(table: FactorTable, rows: Stamps) -> FactorTable:

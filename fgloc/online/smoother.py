@@ -67,7 +67,8 @@ class Posterior:
     calibration: Floats
     """(G,) calibration in solver variables."""
     root: Floats
-    """(B+G, B+G) square-root information of state (body axes) and calibration."""
+    """(B+G, B+G) square-root information of state (body axes) and calibration; (0, 0) where the
+    solver has covariances only."""
     covariance: Floats
     """(B+G, B+G) their joint covariance."""
 
