@@ -136,7 +136,7 @@ class WindowSmoother:
         self.calibration = np.zeros(len(window.layout.parameters))
         self._posterior: Posterior | None = None
         self.repairs = 0
-        self.last_whole: Pass | None = None
+        self._strain = 0.0
         self.holding = False
         self._lost = 0
         self._fixes = 0
@@ -191,7 +191,7 @@ class WindowSmoother:
         root = np.linalg.inv(np.linalg.cholesky(joint))
         window.prior = prior_table(state, self.calibration, root)
         self._posterior = Posterior(window.newest, self.calibration, root, joint.copy())
-        self.last_whole = None
+        self._strain = 0.0
         return dropped
 
     def update(self, dirty: int | None, joint: Floats, moved: Floats) -> dict[str, Floats]:
@@ -223,8 +223,7 @@ class WindowSmoother:
 
     def strain(self) -> float:
         """Return the mean cost of fixes and cameras in the last pass over the whole window."""
-        last = self.last_whole
-        return 0.0 if last is None else mean_cost(last.tables, last.squared)
+        return self._strain
 
     def _explore(self) -> None:
         """Look for a better minimum where the fixes are missed, the more seldom the more in vain.
@@ -274,7 +273,8 @@ class WindowSmoother:
             if step is None:
                 raise SolverError("the window does not determine its keyframes")
             self._accept(step)
-            self.last_whole = step
+            # Not the step itself: it is as large as the window, and would be in every checkpoint.
+            self._strain = mean_cost(step.tables, step.squared)
             if reweight(window, step) < SETTLED:
                 break
 
