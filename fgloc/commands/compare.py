@@ -112,9 +112,7 @@ def _common(args: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _settings(
-    comparison: Comparison, estimators: Mapping[str, Estimator] | None
-) -> dict[str, Any]:
+def _settings(comparison: Comparison, estimators: Mapping[str, Estimator] | None) -> dict[str, Any]:
     """Return every setting of every method as it was used, defaults included."""
     integrator: Any = comparison.settings.integrator
     usual = {method: create(method, integrator=integrator) for method in comparison.methods}
