@@ -33,6 +33,7 @@ from fgloc.online.aligning import Aligner
 from fgloc.online.clock import Clock
 from fgloc.online.fixes import Fix, FixTable
 from fgloc.online.layout import Layout, make_layout
+from fgloc.online.plausible import reading_fault, sigma_fault, size_of, wheels_fault
 from fgloc.online.propagate import Propagation
 from fgloc.online.settings import OnlineSettings
 from fgloc.online.smoother import WindowSmoother, first_prior
@@ -92,6 +93,7 @@ class OnlineEngine:
         self.fix_tables: dict[str, FixTable] = {}
         self.tally: dict[str, Tally] = {"wheels": Tally(), **{s.sensor: Tally() for s in sensors}}
         self.walks: dict[str, float] = {}
+        self._sizes = {s.sensor: size_of(s) for s in sensors}
         self.held = np.zeros(len(robot.base.driven))
         self.waiting: list[Fix] = []
         self.now_ns = 0
@@ -173,12 +175,18 @@ class OnlineEngine:
 
         What cannot be used is counted with its reason, and never raises.
         """
+        if sensor not in self._sizes:
+            self.tally.setdefault("unknown", Tally()).reject("the engine was not told of its sensor")
+            return
         tally = self.tally[sensor]
         stamp_ns = self.clock.time(stamp_ns)
+        fault = reading_fault(values, self._sizes[sensor])
+        if not fault and sensor in self.fix_tables:
+            fault = sigma_fault(sigma, self._sizes[sensor])
         if sensor in self.left_out:
             tally.reject("contradicts the others")
-        elif not np.isfinite(values).all():
-            tally.reject("not finite")
+        elif fault:
+            tally.reject(fault)
         elif stamp_ns < self.window.stamp(self.window.base):
             tally.reject("older than the window")
         elif stamp_ns > self.now_ns + FUTURE_NS:
@@ -187,11 +195,8 @@ class OnlineEngine:
             value = float(values[0]) if values.size == 1 else values
             if not self.streams[sensor].push(stamp_ns, value):
                 tally.reject("a second one with the same stamp")
-        elif sensor in self.fix_tables:
-            if sigma is None or not (np.isfinite(sigma).all() and (sigma > 0.0).all()):
-                tally.reject("its sigma is zero, negative or not finite")
-            else:
-                self._fix(Fix(stamp_ns, sensor, values, sigma))
+        elif sensor in self.fix_tables and sigma is not None:
+            self._fix(Fix(stamp_ns, sensor, values, sigma))
         else:
             tally.reject("not used by this engine")
 
@@ -259,10 +264,10 @@ class OnlineEngine:
         Returns False if the packet could not be used (counted with its reason).
         """
         tally = self.tally["wheels"]
-        if not np.isfinite(angles).all() or (
-            steering is not None and not np.isfinite(steering).all()
-        ):
-            tally.reject("not finite")
+        seconds = (self.clock.time(stamp_ns) - self.now_ns) * 1e-9
+        fault = wheels_fault(angles, steering, self.held.size, seconds)
+        if fault:
+            tally.reject(fault)
             return False
         if not self.clock.admit(stamp_ns):
             # The wheels did turn: what they turned is part of the next packet.
