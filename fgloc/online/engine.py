@@ -385,6 +385,7 @@ class OnlineEngine:
     def _leave_out(self, verdict: Verdict) -> None:
         """Do without a sensor from now on."""
         self.streams.pop(verdict.sensor)
+        self.tally[verdict.sensor].reject("found to contradict the others", verdict.lost)
         self.left_out[verdict.sensor] = verdict.reason
 
     def finish(self) -> None:

@@ -349,15 +349,20 @@ class WindowSmoother:
         squared = tuple(rows.squared for rows in point.linear)
         return Trial(point, point.tables, squared, point.u)
 
-    def adopt(self, trial: Trial, sensor: str, prior: FactorTable) -> None:
-        """Make a trial's solution the window's, and forget the sensor's factors."""
+    def adopt(self, trial: Trial, sensor: str, prior: FactorTable) -> int:
+        """Make a trial's solution the window's, and forget the sensor's factors.
+
+        Returns how many they were.
+        """
         window = self.window
+        lost = 0
         for table in window.tables.values():
             if table.sensor == sensor and table.kind not in HIDDEN:
-                table.take_back()
+                lost += table.take_back()
         window.prior = prior
         self._move_to(trial.point)
         self._whole(None)
+        return lost
 
     @property
     def _unsettled(self) -> bool:
