@@ -63,6 +63,8 @@ START = "start"
 """Name of the factor that says where the drive starts."""
 FUTURE_NS = 30_000_000_000
 """A stamp this far ahead of the wheels' is wrong."""
+ASIDE = 1000
+"""Readings that are put aside at most while the clock is in doubt."""
 
 
 class OnlineEngine:
@@ -93,6 +95,7 @@ class OnlineEngine:
         self.fix_tables: dict[str, FixTable] = {}
         self.tally: dict[str, Tally] = {"wheels": Tally(), **{s.sensor: Tally() for s in sensors}}
         self.walks: dict[str, float] = {}
+        self._aside: list[tuple[str, int, Floats, Floats | None]] = []
         self._sizes = {s.sensor: size_of(s) for s in sensors}
         self.held = np.zeros(len(robot.base.driven))
         self.waiting: list[Fix] = []
@@ -173,8 +176,17 @@ class OnlineEngine:
     def reading(self, sensor: str, stamp_ns: int, values: Floats, sigma: Floats | None) -> None:
         """Take a measurement of any sensor but the wheels, in any order of time.
 
-        What cannot be used is counted with its reason, and never raises.
+        What cannot be used is counted with its reason, and never raises. Where the wheels' clock
+        may have been set back, readings wait until that is known: they would go where the robot
+        was seconds ago.
         """
+        if self.clock.doubtful and len(self._aside) < ASIDE:
+            self._aside.append((sensor, stamp_ns, values, sigma))
+        else:
+            self._take(sensor, stamp_ns, values, sigma)
+
+    def _take(self, sensor: str, stamp_ns: int, values: Floats, sigma: Floats | None) -> None:
+        """Take a reading whose stamp can be understood."""
         if sensor not in self._sizes:
             self.tally.setdefault("unknown", Tally()).reject("the engine was not told of its sensor")
             return
@@ -196,6 +208,9 @@ class OnlineEngine:
             if not self.streams[sensor].push(stamp_ns, value):
                 tally.reject("a second one with the same stamp")
         elif sensor in self.fix_tables and sigma is not None:
+            if not self.fix_tables[sensor].first_at(stamp_ns):
+                tally.reject("a second one with the same stamp")
+                return
             self._fix(Fix(stamp_ns, sensor, values, sigma))
         else:
             tally.reject("not used by this engine")
@@ -269,11 +284,18 @@ class OnlineEngine:
         if fault:
             tally.reject(fault)
             return False
+        # A packet that was sent twice turned the wheels but once.
+        if self.clock.repeats(stamp_ns, angles.tobytes()):
+            tally.reject("a second one with the same stamp")
+            return False
         if not self.clock.admit(stamp_ns):
             # The wheels did turn: what they turned is part of the next packet.
             tally.reject("its stamp lies in the past")
             self.held = self.held + angles
             return False
+        aside, self._aside = self._aside, []
+        for reading in aside:
+            self._take(*reading)
         stamp_ns = self.clock.time(stamp_ns)
         angles, self.held = angles + self.held, np.zeros_like(angles)
         steer = np.zeros_like(angles) if steering is None else steering
@@ -352,6 +374,8 @@ class OnlineEngine:
             oldest = self.window.stamp(self.window.base)
             for stream in self.streams.values():
                 stream.prune(oldest)
+            for table in self.fix_tables.values():
+                table.prune(oldest)
 
     def _smooth(self) -> dict[str, Floats]:
         """Update the window; return the last weights of the factors that left it."""
@@ -390,6 +414,8 @@ class OnlineEngine:
 
     def finish(self) -> None:
         """Count what is still in the window, and what never became a factor."""
+        for sensor, *_ in self._aside:
+            self.tally.get(sensor, Tally()).reject("after the last wheel packet")
         for table in self.window.tables.values():
             if table.kind not in HIDDEN and table.sensor in self.tally:
                 self.tally[table.sensor].gone(table.weight.view)

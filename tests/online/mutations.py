@@ -42,9 +42,7 @@ def silence(packets: list[Packet], rng: np.random.Generator) -> list[Packet]:
     """Leave a stream, or all of them, out for 20 s."""
     begin, end = _window(packets, rng, 20.0)
     hit = _some(packets, rng, 1.0)
-    return [
-        p for p, h in zip(packets, hit, strict=True) if not (h and begin <= p.stamp_ns < end)
-    ]
+    return [p for p, h in zip(packets, hit, strict=True) if not (h and begin <= p.stamp_ns < end)]
 
 
 def bad_values(packets: list[Packet], rng: np.random.Generator) -> list[Packet]:
