@@ -66,7 +66,7 @@ def test_only_recent_packets_of_the_same_content_are_repeats() -> None:
 @pytest.fixture(scope="module")
 def drive() -> Drive:
     """Return a drive with fixes that only a wrong stamp can contradict."""
-    return load_sim("random?robot=differential&duration=40&rate=20&yaw=off&fix_every=0.3&seed=4")
+    return load_sim("random?robot=differential&duration=40&rate=20&yaw=off&fix_every=0.1&seed=4")
 
 
 @pytest.mark.parametrize("late", [0, 1, 7])
