@@ -103,8 +103,9 @@ def test_all_clocks_may_be_set(drive: Drive, step: int) -> None:
     poses = run(hit, stepped, every=100)
     apart = np.hypot(*(poses - expected)[-200:, :2].T)
     assert apart.max() < 0.1, apart.max()
-    assert hit.tally["fixes"].count().down_weighted <= 1
     counted(hit, stepped)
+    # One may come between the step and the wheels' first packet behind it.
+    assert hit.tally["fixes"].down_weighted <= 1
 
 
 def test_a_start_unknown_survives_a_set_clock(drive: Drive) -> None:
