@@ -92,4 +92,4 @@ def test_readings_of_the_wrong_size_or_an_unknown_sensor_are_counted(drive: Driv
     assert engine.tally["yaw"].rejected == {size: 1}
     assert engine.tally["fixes"].rejected == {size: 1, sigmas: 2}
     assert engine.tally["wheels"].rejected == {size: 1}
-    assert engine.tally["unknown"].rejected == {"the engine was not told of its sensor": 1}
+    assert engine.tally["unknown"].rejected == {"no such sensor": 1}
