@@ -31,7 +31,7 @@ import numpy as np
 from fgloc.core.bases import differential
 from fgloc.core.drive import Drive
 from fgloc.core.geometry import EXACT, integrate
-from fgloc.core.measurements import PositionFixes, WheelIncrements
+from fgloc.core.measurements import Floats, PositionFixes, WheelIncrements
 from fgloc.core.robot import Robot
 from fgloc.smoothing.build import build_problem
 from fgloc.smoothing.minimise import minimise
@@ -52,6 +52,11 @@ def bench_drive(keyframes: int, seed: int = 0, fix_every: int = FIX_EVERY) -> Dr
 
     With a position fix at every `fix_every`-th packet.
     """
+    return bench_drive_with_truth(keyframes, seed, fix_every)[0]
+
+
+def bench_drive_with_truth(keyframes: int, seed: int, fix_every: int) -> tuple[Drive, Floats]:
+    """Return `bench_drive` and the true poses (keyframes, 3), which no contestant is told."""
     rng = np.random.default_rng(seed)
     base = differential(0.05, 0.05, 0.3)
     true = np.array([0.0503, 0.0499, 0.303])
@@ -72,7 +77,7 @@ def bench_drive(keyframes: int, seed: int = 0, fix_every: int = FIX_EVERY) -> Dr
         np.full((at.size, 2), FIX_SIGMA),
     )
     wheels = WheelIncrements("wheels", stamps, angles, base.driven_names)
-    return Drive("bench", Robot.typical("bench", base), wheels, (fixes,))
+    return Drive("bench", Robot.typical("bench", base), wheels, (fixes,)), poses
 
 
 def _megabytes() -> float:

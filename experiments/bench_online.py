@@ -5,8 +5,11 @@ that many keyframes at 10 Hz, with a position fix every second and a window of 3
 contestant runs in a process of its own:
 
 - online: this project's engine as `fgloc localise` runs it, calibration estimated;
+- isam2: the same engine with this project's factors in iSAM2 instead of its own elimination;
 - native: GTSAM's IncrementalFixedLagSmoother on BetweenFactorPose2 and PoseTranslationPrior2D,
-  QR, relinearised as the design asks for, the calibration fixed at nominal.
+  QR, relinearised as the design asks for, the calibration fixed at nominal;
+- walls: the incremental graph with 60 walls in the window beside wheels and fixes, of which each
+  keyframe sees 8 and another set every half second.
 
 Printed are the time of an update (everything between a wheel packet and the pose for it, keyframe
 included), its growth from the first tenth to the last, the memory that the drive added, and the
@@ -22,28 +25,35 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 
 from fgloc.core.drive import Drive
+from fgloc.core.geometry import compose, inverse
 from fgloc.core.measurements import Floats
-from fgloc.experiments.bench_batch import FIX_SIGMA, bench_drive
+from fgloc.experiments.bench_batch import FIX_SIGMA, bench_drive, bench_drive_with_truth
+from fgloc.factors.tables import FactorTable, Kind
 from fgloc.online.engine import OnlineEngine
 from fgloc.online.online import start_of
 from fgloc.online.replay import packets
 from fgloc.online.settings import OnlineSettings
+from fgloc.online.smoother import prior_table
 from fgloc.smoothing.build import build_problem
 from fgloc.smoothing.settings import Settings
 
-CONTESTANTS = ("online", "native")
+CONTESTANTS = ("online", "isam2", "native", "walls")
+WALLS, SEEN, STRIDE, DWELL = 60, 8, 7, 5
+WALL_SIGMA = (0.02, 0.02)
 FIX_EVERY = 10
 SETTLE = 600
 LAG_S = 30.0
 
 
-def _online(drive: Drive) -> Floats:
+def _online(drive: Drive, engine_name: Literal["chain", "isam2"] = "chain") -> Floats:
     """Return the seconds (K,) that the engine took for each keyframe."""
-    engine = OnlineEngine(drive.robot, drive.sensors, drive.truth, OnlineSettings(lag_s=LAG_S), 0.0)
+    settings = OnlineSettings(lag_s=LAG_S, engine=engine_name)
+    engine = OnlineEngine(drive.robot, drive.sensors, drive.truth, settings, 0.0)
     engine.begin(int(drive.wheels.stamps_ns[0]), start_of(drive))
     seconds = np.zeros(drive.wheels.angles.shape[0])
     k = 0
@@ -106,11 +116,79 @@ def _native(drive: Drive) -> Floats:
     return seconds
 
 
-RUN: dict[str, Callable[[Drive], Floats]] = {"online": _online, "native": _native}
+def _isam2(drive: Drive) -> Floats:
+    """Return the seconds (K,) that the engine took for each keyframe with iSAM2 inside."""
+    return _online(drive, "isam2")
+
+
+def _sight(wall: Floats, pose: Floats, rng: np.random.Generator) -> Floats:
+    """Return the measurement row of a wall (normal angle, point 2) seen from a pose (3,)."""
+    angle, along = wall[0], rng.normal()
+    point = wall[1:] + along * np.array([-np.sin(angle), np.cos(angle)])
+    seen = compose(inverse(pose), np.append(point, 0.0))[:2] + rng.normal(0.0, 0.01, 2)
+    beta = angle - pose[2] + rng.normal(0.0, WALL_SIGMA[0])
+    return np.concatenate([[beta], seen, wall[1:], np.zeros(3)])
+
+
+def _walls(drive: Drive) -> Floats:
+    """Return the seconds (K,) of the incremental graph with walls."""
+    from fgloc.factors.gtsam_factors import rows_of  # heavy: GTSAM
+    from fgloc.smoothing.isam import IncrementalGraph
+
+    keyframes = drive.wheels.stamps_ns.size
+    _, truth = bench_drive_with_truth(keyframes, 0, FIX_EVERY)
+    rng = np.random.default_rng(1)
+    walls = np.column_stack([rng.uniform(-3.0, 3.0, WALLS), 10.0 * rng.normal(size=(WALLS, 2))])
+    problem = build_problem(drive, Settings(robust=False))
+    wheels = problem.wheel_table(np.zeros(len(problem.parameters)))
+    fixes = next(t for t in problem.tables if t.sensor == "fixes")
+    fix_at = {int(k): r for k, r in zip(fixes.first, rows_of(fixes), strict=True)}
+    steps = rows_of(wheels)
+    root = np.diag(1.0 / np.array(WALL_SIGMA))[None]
+    graph = IncrementalGraph(3, np.full(len(problem.parameters), 1e-5))
+    state = problem.states[0].copy()
+    state[:3] = truth[0]
+    tight = prior_table(state, np.zeros(3), np.diag([1e3] * 3 + [30.0] * 3))
+    graph.start(0.0, 0, state, rows_of(tight))
+    graph.update()
+    seconds = np.zeros(keyframes - 1)
+    for k in range(1, keyframes):
+        ids = (np.arange(SEEN) * STRIDE + k // DWELL) % WALLS
+        rows = [steps[k - 1], *([fix_at[k]] if k in fix_at else [])]
+        table = FactorTable(
+            Kind.WALL,
+            "walls",
+            np.full(SEEN, k),
+            np.array([_sight(walls[i], truth[k], rng) for i in ids]),
+            np.tile(root, (SEEN, 1, 1)),
+            slice(0, 0),
+            second=ids,
+        )
+        begin = time.perf_counter()
+        guess = graph.state(k - 1)
+        guess[:3] = compose(guess[:3], wheels.measurements[k - 1, :3])
+        graph.add(0.1 * k, k, guess, rows)
+        for i in ids.tolist():
+            if not graph.has_landmark(i):
+                graph.add_landmark(i, np.array([walls[i, 0], 0.0]))
+        graph.add_rows(rows_of(table))
+        graph.update()
+        graph.state(k)
+        seconds[k - 1] = time.perf_counter() - begin
+    return seconds
+
+
+RUN: dict[str, Callable[[Drive], Floats]] = {
+    "online": _online,
+    "isam2": _isam2,
+    "native": _native,
+    "walls": _walls,
+}
 
 
 def _contest(name: str, keyframes: int) -> dict[str, float]:
     """Run one contestant in this process and return its figures."""
+    keyframes = keyframes // 5 if name == "walls" else keyframes
     drive = bench_drive(keyframes, fix_every=FIX_EVERY)
     RUN[name](bench_drive(SETTLE, fix_every=FIX_EVERY))  # loads and compiles outside the clock
     gc.collect()

@@ -29,6 +29,14 @@ class Aligner:
         here = pose.copy() if moved is None else compose(pose, moved)
         self._points.append(here)
 
+    def prune(self, base: int) -> list[Fix]:
+        """Forget fixes at keyframes that the window has left behind; return them."""
+        gone = [fix for number, fix, _ in self.fixes if number < base]
+        kept = [k for k, (number, _, _) in enumerate(self.fixes) if number >= base]
+        self.fixes = [self.fixes[k] for k in kept]
+        self._points = [self._points[k] for k in kept]
+        return gone
+
     def start(self) -> tuple[Floats, Floats] | None:
         """Return the pose (3,) of the path's origin in the map and its sigmas; None if unknown."""
         for (_, fix, _), here in zip(self.fixes, self._points, strict=True):

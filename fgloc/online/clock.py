@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 PERSISTENT = 10
 """So many stamps in a row that lie in the past but follow each other mean a clock set back."""
+REMEMBERED = 100
+"""Among so many packets of the wheels one that was sent twice is found."""
 
 
 class Clock:
@@ -15,6 +19,20 @@ class Clock:
         self._now = -(2**62)
         self._before = -(2**62)
         self._in_past = 0
+        self._recent: deque[tuple[int, bytes]] = deque(maxlen=REMEMBERED)
+
+    @property
+    def doubtful(self) -> bool:
+        """Return True while it is open whether the clock was set back."""
+        return self._in_past > 0
+
+    def repeats(self, stamp_ns: int, content: bytes) -> bool:
+        """Return True if one of the last wheel packets had this very stamp and content."""
+        packet = (stamp_ns, content)
+        if self.time(stamp_ns) <= self._now and packet in self._recent:
+            return True
+        self._recent.append(packet)
+        return False
 
     def time(self, stamp_ns: int) -> int:
         """Return the engine's time of a stamp."""

@@ -34,9 +34,10 @@ from fgloc.online.clock import Clock
 from fgloc.online.fixes import Fix, FixTable
 from fgloc.online.incremental import IncrementalSmoother
 from fgloc.online.layout import Layout, make_layout
+from fgloc.online.plausible import reading_fault, sigma_fault, size_of, wheels_fault
 from fgloc.online.propagate import Propagation
 from fgloc.online.settings import OnlineSettings
-from fgloc.online.smoother import WindowSmoother, first_prior
+from fgloc.online.smoother import WindowSmoother, first_prior, loosened
 from fgloc.online.streams import CameraStream, GyroStream, Stream, YawStream
 from fgloc.online.tally import Tally
 from fgloc.online.trust import Trust, Verdict
@@ -63,6 +64,14 @@ START = "start"
 """Name of the factor that says where the drive starts."""
 FUTURE_NS = 30_000_000_000
 """A stamp this far ahead of the wheels' is wrong."""
+BROKEN = (FglocError, ArithmeticError, ValueError, RuntimeError)
+"""What a solver may raise over numbers it cannot digest (numpy's and GTSAM's errors are these)."""
+UNPLACED = "the start is not known"
+"""Reason of fixes that never told where the drive started."""
+BROKE = "the solver broke over it"
+"""Reason of measurements that were taken back so that the window could be solved."""
+ASIDE = 1000
+"""Readings that are put aside at most while the clock is in doubt."""
 
 
 class OnlineEngine:
@@ -96,6 +105,8 @@ class OnlineEngine:
         self.fix_tables: dict[str, FixTable] = {}
         self.tally: dict[str, Tally] = {"wheels": Tally(), **{s.sensor: Tally() for s in sensors}}
         self.walks: dict[str, float] = {}
+        self._aside: list[tuple[str, int, Floats, Floats | None]] = []
+        self._sizes = {s.sensor: size_of(s) for s in sensors}
         self.held = np.zeros(len(robot.base.driven))
         self.waiting: list[Fix] = []
         self.now_ns = 0
@@ -174,14 +185,29 @@ class OnlineEngine:
     def reading(self, sensor: str, stamp_ns: int, values: Floats, sigma: Floats | None) -> None:
         """Take a measurement of any sensor but the wheels, in any order of time.
 
-        What cannot be used is counted with its reason, and never raises.
+        What cannot be used is counted with its reason, and never raises. Where the wheels' clock
+        may have been set back, readings wait until that is known: they would go where the robot
+        was seconds ago.
         """
+        if self.clock.doubtful and len(self._aside) < ASIDE:
+            self._aside.append((sensor, stamp_ns, values, sigma))
+        else:
+            self._take(sensor, stamp_ns, values, sigma)
+
+    def _take(self, sensor: str, stamp_ns: int, values: Floats, sigma: Floats | None) -> None:
+        """Take a reading whose stamp can be understood."""
+        if sensor not in self._sizes:
+            self.tally.setdefault("unknown", Tally()).reject("no such sensor")
+            return
         tally = self.tally[sensor]
         stamp_ns = self.clock.time(stamp_ns)
+        fault = reading_fault(values, self._sizes[sensor])
+        if not fault and sensor in self.fix_tables:
+            fault = sigma_fault(sigma, self._sizes[sensor])
         if sensor in self.left_out:
             tally.reject("contradicts the others")
-        elif not np.isfinite(values).all():
-            tally.reject("not finite")
+        elif fault:
+            tally.reject(fault)
         elif stamp_ns < self.window.stamp(self.window.base):
             tally.reject("older than the window")
         elif stamp_ns > self.now_ns + FUTURE_NS:
@@ -190,11 +216,14 @@ class OnlineEngine:
             value = float(values[0]) if values.size == 1 else values
             if not self.streams[sensor].push(stamp_ns, value):
                 tally.reject("a second one with the same stamp")
-        elif sensor in self.fix_tables:
-            if sigma is None or not (np.isfinite(sigma).all() and (sigma > 0.0).all()):
-                tally.reject("its sigma is zero, negative or not finite")
-            else:
+        elif sensor in self.fix_tables and sigma is not None:
+            if not self.fix_tables[sensor].first_at(stamp_ns):
+                tally.reject("a second one with the same stamp")
+                return
+            try:
                 self._fix(Fix(stamp_ns, sensor, values, sigma))
+            except BROKEN:
+                self._settle(self._rebuild())
         else:
             tally.reject("not used by this engine")
 
@@ -221,23 +250,34 @@ class OnlineEngine:
         self.aligner.add(number, fix, moved, self.window.state(number)[:3])
         found = self.aligner.start()
         if found is not None:
-            waiting, self.aligner = self.aligner.fixes, None
-            self._place(*found)
-            for one in waiting:
-                self._add_fix(*one)
+            fixes, self.aligner = self.aligner.fixes, None
+            try:
+                self._place(*found)
+            except BROKEN:
+                for _, one, _ in fixes:
+                    self.tally[one.sensor].reject(BROKE)
+                raise
+            for collected in fixes:
+                self._add_fix(*collected)
             self.update()
 
     def _place(self, start: Floats, sigma: Floats) -> None:
-        """Move the path so far to where it lies in the map."""
+        """Move the path so far to where it lies in the map, give or take sigma (3,)."""
         window = self.window
         known = window.tables[START, Kind.POSE_FIX]
         for states in (window.states.view, window.linear_states.view):
             states[:, :3] = compose(start, states[:, :3])
-        assert window.prior is not None
-        window.prior.measurements[0, :3] = compose(start, window.prior.measurements[0, :3])
-        known.measurements.view[0, :3] = start
-        known.sqrt_information.view[0] = np.diag(1.0 / sigma)
+        self.propagation.place(start, sigma)
         self.smoother.holding = False
+        assert window.prior is not None
+        prior = window.prior
+        prior.measurements[0, :3] = compose(start, prior.measurements[0, :3])
+        if len(known.first):
+            known.measurements.view[0, :3] = start
+            known.sqrt_information.view[0] = np.diag(1.0 / sigma)
+        else:
+            # The start is summed up in the prior by now, with the rest of the path's beginning.
+            prior.sqrt_information[0] = loosened(prior.sqrt_information[0], sigma)
         self.smoother.start_again()
 
     def _moved(self, number: int, stamp_ns: int) -> Floats:
@@ -262,33 +302,47 @@ class OnlineEngine:
         Returns False if the packet could not be used (counted with its reason).
         """
         tally = self.tally["wheels"]
-        if not np.isfinite(angles).all() or (
-            steering is not None and not np.isfinite(steering).all()
-        ):
-            tally.reject("not finite")
+        seconds = (self.clock.time(stamp_ns) - self.now_ns) * 1e-9
+        fault = wheels_fault(angles, steering, self.held.size, seconds)
+        if fault:
+            tally.reject(fault)
+            return False
+        # A packet that was sent twice turned the wheels but once.
+        if self.clock.repeats(stamp_ns, angles.tobytes()):
+            tally.reject("a second one with the same stamp")
             return False
         if not self.clock.admit(stamp_ns):
             # The wheels did turn: what they turned is part of the next packet.
             tally.reject("its stamp lies in the past")
             self.held = self.held + angles
             return False
-        stamp_ns = self.clock.time(stamp_ns)
+        aside, self._aside = self._aside, []
+        for reading in aside:
+            self._take(*reading)
         angles, self.held = angles + self.held, np.zeros_like(angles)
         steer = np.zeros_like(angles) if steering is None else steering
+        try:
+            self._drive(self.clock.time(stamp_ns), angles, steer)
+        except BROKEN:
+            self._settle(self._rebuild())
+        return True
+
+    def _drive(self, stamp_ns: int, angles: Floats, steer: Floats) -> None:
+        """Move on to the end of a packet, by way of the fixes that wait for it."""
         whole = stamp_ns - self.now_ns
         while self.waiting and self.waiting[0].stamp_ns <= stamp_ns:
-            fix = self.waiting.pop(0)
+            fix = self.waiting[0]
             self._advance(angles, steer, fix.stamp_ns, whole)
             number = self.window.newest
-            if self.window.stamp(number) != fix.stamp_ns:
+            if self.window.stamp(number) != self.now_ns:
                 number = self._keyframe()
+            self.waiting.pop(0)
             self._add_fix(number, fix, None)
         self._advance(angles, steer, stamp_ns, whole)
         if self._due():
             self._keyframe()
         if self.dirty is not None or self.smoother.unsolved >= self.settings.relinearise_every:
             self.update()
-        return True
 
     def _advance(self, angles: Floats, steering: Floats, stamp_ns: int, whole: int) -> None:
         """Move on to a stamp within a packet of `whole` nanoseconds."""
@@ -334,8 +388,12 @@ class OnlineEngine:
         self.updates += 1
         try:
             dropped = self._smooth()
-        except (FglocError, np.linalg.LinAlgError, FloatingPointError):
+        except BROKEN:
             dropped = self._rebuild()
+        self._settle(dropped)
+
+    def _settle(self, dropped: dict[str, Floats]) -> None:
+        """Go on from a solved window that has lost factors with these weights, by sensor."""
         self.dirty = None
         self._mark = {key: table.added for key, table in self.window.tables.items()}
         self._restart()
@@ -351,6 +409,10 @@ class OnlineEngine:
             oldest = self.window.stamp(self.window.base)
             for stream in self.streams.values():
                 stream.prune(oldest)
+            for table in self.fix_tables.values():
+                table.prune(oldest)
+            for fix in [] if self.aligner is None else self.aligner.prune(self.window.base):
+                self.tally[fix.sensor].reject(UNPLACED)
 
     def _smooth(self) -> dict[str, Floats]:
         """Update the window; return the last weights of the factors that left it."""
@@ -374,27 +436,31 @@ class OnlineEngine:
                 continue
             lost = table.take_back(self._mark.get(key, 0))
             if table.sensor in self.tally:
-                self.tally[table.sensor].reject("the solver broke over it", lost)
+                self.tally[table.sensor].reject(BROKE, lost)
         try:
             self.smoother.start_again()
             return {}
-        except (FglocError, np.linalg.LinAlgError, FloatingPointError):
-            return self.smoother.abandon(self.propagation.state, self.propagation.joint())
+        except BROKEN:
+            state, joint = self.propagation.state, self.propagation.joint()
+            return self.smoother.abandon(self.now_ns, state, joint)
 
     def _leave_out(self, verdict: Verdict) -> None:
         """Do without a sensor from now on."""
         self.streams.pop(verdict.sensor)
+        self.tally[verdict.sensor].reject("found to contradict the others", verdict.lost)
         self.left_out[verdict.sensor] = verdict.reason
 
     def finish(self) -> None:
         """Count what is still in the window, and what never became a factor."""
+        for sensor, *_ in self._aside:
+            self.tally.get(sensor, Tally()).reject("after the last wheel packet")
         for table in self.window.tables.values():
             if table.kind not in HIDDEN and table.sensor in self.tally:
                 self.tally[table.sensor].gone(table.weight.view)
         for fix in self.waiting:
             self.tally[fix.sensor].reject("after the last wheel packet")
         for _, fix, _ in [] if self.aligner is None else self.aligner.fixes:
-            self.tally[fix.sensor].reject("the start is not known")
+            self.tally[fix.sensor].reject(UNPLACED)
 
     def _restart(self) -> None:
         """Let dead reckoning go on from the keyframe solved last."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,6 +44,20 @@ class FixTable:
         self.mount = np.zeros(3)
         self.mount[:d] = sensor.mount
         self.table: LiveTable = window.table(kind, sensor.sensor, (2 * d, d), place.block, loss)
+        # Stamps of the fixes that came, as far back as the window reaches.
+        self.stamps: list[int] = []
+
+    def first_at(self, stamp_ns: int) -> bool:
+        """Note that a fix came; False if one of the same stamp came before. O(log N), usually."""
+        at = bisect_left(self.stamps, stamp_ns)
+        if at < len(self.stamps) and self.stamps[at] == stamp_ns:
+            return False
+        self.stamps.insert(at, stamp_ns)
+        return True
+
+    def prune(self, before_ns: int) -> None:
+        """Forget stamps that the window has left behind."""
+        del self.stamps[: bisect_left(self.stamps, before_ns)]
 
     def add(self, number: int, fix: Fix, moved: Floats | None = None) -> None:
         """Add the row of a fix at a keyframe.

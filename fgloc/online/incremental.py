@@ -17,7 +17,14 @@ from fgloc.core.geometry import rotate_covariance
 from fgloc.core.measurements import Floats, Stamps
 from fgloc.factors.tables import FactorTable, linearise
 from fgloc.online.settings import OnlineSettings
-from fgloc.online.smoother import Judged, Posterior, SolverError, judge, prior_table
+from fgloc.online.smoother import (
+    Judged,
+    Posterior,
+    SolverError,
+    definite,
+    judge,
+    prior_table,
+)
 from fgloc.online.window import Window
 
 
@@ -78,17 +85,11 @@ class IncrementalSmoother:
             live.weight.view[:] = 1.0
         self.begin()
 
-    def abandon(self, state: Floats, joint: Floats) -> dict[str, Floats]:
-        """Give up the window: its newest keyframe is where dead reckoning says, and as surely.
-
-        Returns the last weights of all factors that are lost.
-        """
+    def abandon(self, stamp_ns: int, state: Floats, joint: Floats) -> dict[str, Floats]:
+        """Give up the window: all that is left is a keyframe of now; see `WindowSmoother`."""
         window = self.window
-        dropped = window.drop(window.newest)
-        for table in window.tables.values():
-            table.take_back()
-        window.states.view[0] = state
-        root = np.linalg.inv(np.linalg.cholesky(0.5 * (joint + joint.T)))
+        dropped = window.drop(window.add_keyframe(stamp_ns, state))
+        root, _ = definite(joint)
         window.prior = prior_table(state, self.calibration, root)
         self.begin()
         return dropped

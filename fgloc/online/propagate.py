@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fgloc.core.geometry import compose_scalar, rotate_covariance
+from fgloc.core.geometry import compose, compose_scalar, rotate_covariance
 from fgloc.core.measurements import Floats
 from fgloc.core.preintegration import Integrator
 from fgloc.online.layout import Layout
@@ -29,6 +29,14 @@ class Propagation:
         self._integrator.restart(layout.values(posterior.calibration))
         self._state = state.copy()
         self._joint = posterior.covariance
+
+    def place(self, start: Floats, sigma: Floats) -> None:
+        """Move the anchor by a pose (3,) of the map that is known to sigma (3,) [m, m, rad]."""
+        self._state = self._state.copy()
+        self._state[:3] = compose(start, self._state[:3])
+        self._joint = self._joint.copy()
+        turned = rotate_covariance(np.diag(sigma**2), -self._state[2])
+        self._joint[:3, :3] += turned
 
     def add(self, angles: Floats, steering: Floats, seconds: float) -> None:
         """Move on by wheel increments (D,) that took `seconds`."""

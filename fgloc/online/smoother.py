@@ -47,6 +47,10 @@ SELDOM = 30
 """Keyframes of the window for each one between two passes over all of it, at least."""
 FEWEST = 2
 """Fewer factors of fixes and cameras in the window do not tell whether it is right."""
+HELD = 6000
+"""Keyframes that a window may hold while it is not known where the drive started."""
+FLOOR = 1e-14
+"""Smallest variance, beside those of the same window."""
 SETTLED = 0.3
 """A change of a robust weight that is worth another pass."""
 
@@ -177,18 +181,15 @@ class WindowSmoother:
         self._since_whole = 0
         self._whole(None)
 
-    def abandon(self, state: Floats, joint: Floats) -> dict[str, Floats]:
-        """Give up the window: its newest keyframe is where dead reckoning says, and as surely.
+    def abandon(self, stamp_ns: int, state: Floats, joint: Floats) -> dict[str, Floats]:
+        """Give up the window: all that is left is a keyframe of now, as dead reckoning has it.
 
-        Returns the last weights of all factors that are lost.
+        `state` (B,) and `joint` (B+G, B+G) are those at the stamp, which is the newest one's or
+        later. Returns the last weights of all factors that are lost. Never raises.
         """
         window = self.window
-        dropped = window.drop(window.newest)
-        for table in window.tables.values():
-            table.take_back()
-        window.states.view[0] = state
-        joint = 0.5 * (joint + joint.T)
-        root = np.linalg.inv(np.linalg.cholesky(joint))
+        dropped = window.drop(window.add_keyframe(stamp_ns, state))
+        root, joint = definite(joint)
         window.prior = prior_table(state, self.calibration, root)
         self._posterior = Posterior(window.newest, self.calibration, root, joint.copy())
         self._strain = 0.0
@@ -207,9 +208,11 @@ class WindowSmoother:
         judging = (joint, moved, self._gates)
         # A long window is linearised anew the more seldom, so that the effort stays the same.
         often = max(self._settings.relinearise_every, len(window.stamps_ns) // SELDOM)
-        if self._since_whole < often and dirty is not None:
-            forward = dirty > solved.number
-            begin = solved.number if forward else max(dirty - 1, window.base)
+        if self._since_whole < often:
+            # Without a new factor the wheels' are all there is to go on by.
+            oldest = window.newest if dirty is None else dirty
+            forward = oldest > solved.number
+            begin = solved.number if forward else max(oldest - 1, window.base)
             prior = posterior_prior(window, solved) if forward else carried_prior(window, begin)
             if prior is not None:
                 step = self._step(begin, prior, forward, judging)
@@ -257,7 +260,11 @@ class WindowSmoother:
 
     def _accept(self, step: Pass) -> None:
         """Make a step's result the window's."""
-        self._posterior = accept(self.window, step)
+        posterior = accept(self.window, step)
+        variances = np.diag(posterior.covariance)
+        if not (np.isfinite(posterior.covariance).all() and (variances > 0.0).all()):
+            raise SolverError("the newest keyframe has no finite covariance")
+        self._posterior = posterior
         self.calibration = step.calibration
 
     def _whole(self, judging: Judging | None) -> None:
@@ -350,15 +357,20 @@ class WindowSmoother:
         squared = tuple(rows.squared for rows in point.linear)
         return Trial(point, point.tables, squared, point.u)
 
-    def adopt(self, trial: Trial, sensor: str, prior: FactorTable) -> None:
-        """Make a trial's solution the window's, and forget the sensor's factors."""
+    def adopt(self, trial: Trial, sensor: str, prior: FactorTable) -> int:
+        """Make a trial's solution the window's, and forget the sensor's factors.
+
+        Returns how many they were.
+        """
         window = self.window
+        lost = 0
         for table in window.tables.values():
             if table.sensor == sensor and table.kind not in HIDDEN:
-                table.take_back()
+                lost += table.take_back()
         window.prior = prior
         self._move_to(trial.point)
         self._whole(None)
+        return lost
 
     @property
     def _unsettled(self) -> bool:
@@ -374,9 +386,15 @@ class WindowSmoother:
     def _slide(self) -> dict[str, Floats]:
         """Sum up keyframes older than the lag in a prior; return their factors' last weights."""
         window, lag = self.window, self._settings.lag_s
-        if self.holding or self._unsettled or not np.isfinite(lag):
+        if not np.isfinite(lag):
             return {}
         oldest = window.number_at(window.stamp(window.newest) - int(lag * 1e9))
+        if self.holding:
+            # Fixes may be far between while the start is unknown; but not for ever.
+            full = len(window.stamps_ns) >= HELD
+            oldest = min(oldest, window.base + HELD // 2) if full else window.base
+        elif self._unsettled:
+            return {}
         if oldest <= window.base:
             return {}
         prior = carried_prior(window, oldest)
@@ -410,6 +428,32 @@ class WindowSmoother:
         triangle = np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
         left = np.ascontiguousarray(triangle[free:, free:])
         return replace(prior, sqrt_information=left[None])
+
+
+def definite(covariance: Floats) -> tuple[Floats, Floats]:
+    """Return square-root information (N, N) of a covariance, and the covariance that it means.
+
+    Directions that rounding has left without a variance get the smallest that can be told from
+    zero beside the others.
+    """
+    sigma = np.sqrt(np.maximum(np.diag(covariance), FLOOR))
+    scaled = covariance / np.outer(sigma, sigma)
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    values = np.maximum(values, FLOOR)
+    root = (vectors / np.sqrt(values)).T / sigma
+    factor = sigma[:, None] * vectors * np.sqrt(values)
+    return root, factor @ factor.T
+
+
+def loosened(root: Floats, sigma: Floats) -> Floats:
+    """Return square-root information (N, N) of a state after its pose was moved in the map.
+
+    The move is known to sigma (3,) [m, m, rad], alike along both axes of the map.
+    """
+    inverse = np.linalg.inv(root)
+    covariance = inverse @ inverse.T
+    covariance[:3, :3] += np.diag(sigma**2)
+    return definite(covariance)[0]
 
 
 def prior_table(

@@ -27,6 +27,8 @@ class Verdict:
     """Its name."""
     reason: str
     """What a user should know."""
+    lost: int
+    """How many of its factors were in the window."""
 
 
 class Trust:
@@ -69,9 +71,9 @@ class Trust:
                     "that, say so with --robot"
                 )
             if verdict is not None:
-                smoother.adopt(trial, suspect, self._prior())
+                lost = smoother.adopt(trial, suspect, self._prior())
                 self._pause = 1
-                return Verdict(suspect, verdict)
+                return Verdict(suspect, verdict, lost)
         self._wait = self._pause
         self._pause *= PATIENCE
         return None
