@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import math
+from collections import deque
 from collections.abc import Mapping
 from enum import Enum
 from types import MethodType
@@ -25,7 +26,7 @@ PACKAGE = "fgloc."
 class Writer:
     """Turns a value into a JSON node; arrays go into one long array a dtype.
 
-    Objects, lists, dicts and arrays that are met again are written once, so that what was shared
+    What is met again is written once (tuples excepted), so that what was shared
     is shared again. O(everything reachable).
     """
 
@@ -47,6 +48,8 @@ class Writer:
             return ["enum", _name(type(value)), value.value]
         if isinstance(value, np.generic):
             return ["scalar", value.dtype.str, self._store(np.array([value]))]
+        if type(value) is bytes:
+            return ["bytes", value.hex()]
         if isinstance(value, slice):
             return ["slice", [self.node(v) for v in (value.start, value.stop, value.step)]]
         if isinstance(value, MethodType):
@@ -83,6 +86,8 @@ class Writer:
                 rows = np.array(value)
                 return ["rows", rows.dtype.str, list(rows.shape), self._store(rows.ravel())]
             return ["list", [self.node(v) for v in value]]
+        if type(value) is deque:
+            return ["deque", value.maxlen, [self.node(v) for v in value]]
         if type(value) is dict:
             return ["dict", [[self.node(k), self.node(v)] for k, v in value.items()]]
         name = _name(type(value))
@@ -115,12 +120,14 @@ class Reader:
         if type(node) in PLAIN:
             return node
         tag, *rest = node
-        if tag in ("array", "numbers", "rows", "list", "dict", "object"):
+        if tag in ("array", "numbers", "rows", "list", "deque", "dict", "object"):
             return self._new(tag, rest)
         if tag == "enum":
             return _class(rest[0])(rest[1])
         if tag == "scalar":
             return self._flat(rest[0], rest[1], 1)[0]
+        if tag == "bytes":
+            return bytes.fromhex(rest[0])
         if tag == "slice":
             return slice(*(self.value(v) for v in rest[0]))
         if tag == "method":
@@ -152,6 +159,10 @@ class Reader:
             made = []
             self._known.append(made)
             made.extend(self.value(v) for v in rest[0])
+        elif tag == "deque":
+            made = deque(maxlen=rest[0])
+            self._known.append(made)
+            made.extend(self.value(v) for v in rest[1])
         elif tag == "dict":
             made = {}
             self._known.append(made)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import is_dataclass, replace
 from pathlib import Path
@@ -178,8 +179,10 @@ def same(a: Any, b: Any, where: str, seen: dict[int, int]) -> Iterator[str]:
             yield f"{where}: other keys"
         for key in a.keys() & b.keys():
             yield from same(a[key], b[key], f"{where}[{key!r}]", seen)
-    elif isinstance(a, list | tuple):
-        if isinstance(a, list):
+    elif isinstance(a, list | tuple | deque):
+        if isinstance(a, deque) and a.maxlen != b.maxlen:
+            yield f"{where}: another length to keep"
+        if not isinstance(a, tuple):
             seen[id(a)] = id(b)
         if len(a) != len(b):
             yield f"{where}: another length"
