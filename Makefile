@@ -14,15 +14,15 @@ endif
 .PHONY: help demo test lint bench install clean
 
 help:
-	@echo "make demo     simulate a drive, run three methods on it, draw figures"
+	@echo "make demo     simulate a drive, run four methods on it, draw figures"
 	@echo "make test     run the tests"
 	@echo "make lint     check style and types"
-	@echo "make bench    time the batch smoother beside GTSAM's own optimizer"
+	@echo "make bench    time both engines beside GTSAM's own (a quarter of an hour)"
 	@echo "make install  only create .venv and install into it"
 	@echo "make clean    remove .venv, caches and the demo's results"
 
 demo: $(INSTALLED)
-	$(BIN)/fgloc compare sim:demo --methods model1,model2,batch --out runs/demo
+	$(BIN)/fgloc compare sim:demo --methods model1,model2,batch,online --out runs/demo
 	@echo "Figures, trajectories and settings: $(CURDIR)/runs/demo/latest"
 
 test: $(INSTALLED)
@@ -35,6 +35,7 @@ lint: $(INSTALLED)
 
 bench: $(INSTALLED)
 	$(BIN)/python -m fgloc.experiments.bench_batch
+	$(BIN)/python -m fgloc.experiments.bench_online
 
 install: $(INSTALLED)
 
