@@ -87,6 +87,27 @@ COMPONENTS: dict[Kind, tuple[str, ...]] = {
 """Leading residual components with units; all of them but for STATE_PRIOR and CALIBRATION_WALK,
 whose number depends on the state."""
 
+ROW: dict[Kind, int] = {
+    Kind.WHEEL: 3,
+    Kind.YAW: 2,
+    Kind.YAW_RATE: 2,
+    Kind.ZERO_WALK: 0,
+    Kind.ZERO_PRIOR: 1,
+    Kind.CAMERA: 6,
+    Kind.POSITION_FIX: 4,
+    Kind.POSE_FIX: 6,
+    Kind.STATE_PRIOR: 0,
+    Kind.WALL: 8,
+    Kind.RANGE_BEARING: 5,
+    Kind.CALIBRATION_WALK: 0,
+    Kind.ZERO_VELOCITY: 0,
+    Kind.WHEEL_SLIP: 3,
+    Kind.SLIP_PRIOR: 0,
+    Kind.SLIP_WALK: 1,
+    Kind.SLIP_SIDE: 1,
+}
+"""Fewest numbers in a measurement row; wheels add 3 a calibration variable, priors have 2 (B+G)."""
+
 PAIRWISE = frozenset(
     {
         Kind.WHEEL,
@@ -132,6 +153,17 @@ class FactorTable:
         if self.sees_landmarks != (self.second is not None):
             need = "needs" if self.sees_landmarks else "has no use for"
             raise FglocError(f"{self.sensor}: a {self.kind.name} table {need} landmark indices")
+        # Compiled code does not check bounds: a missing column would be read from elsewhere.
+        least = ROW[self.kind]
+        if self.kind in (Kind.WHEEL, Kind.WHEEL_SLIP):
+            least += 3 * (self.calibration.stop - self.calibration.start)
+        elif self.kind == Kind.STATE_PRIOR:
+            least = 2 * self.dimension
+        if self.measurements.shape[1] < least:
+            raise FglocError(
+                f"{self.sensor}: a {self.kind.name} row needs {least} numbers, "
+                f"got {self.measurements.shape[1]}"
+            )
 
     @property
     def sees_landmarks(self) -> bool:

@@ -51,7 +51,7 @@ SINGLE: dict[str, list[FactorTable]] = {
     "zero walk": [table(Kind.ZERO_WALK, 1, 1, 1, ALL, slot=3)],
     "fix": [FIX],
     "pose fix": [table(Kind.POSE_FIX, 2, 6, 3, ALL)],
-    "joint prior": [table(Kind.STATE_PRIOR, 2, 9, 9, slice(0, 5))],
+    "joint prior": [table(Kind.STATE_PRIOR, 2, 18, 9, slice(0, 5))],
     "camera": [table(Kind.CAMERA, 1, 6, 3, slice(1, 5))],
     "standing still": [table(Kind.ZERO_VELOCITY, 1, 3, 3, ALL)],
     "wall": [table(Kind.WALL, 2, 8, 2, ALL, second=1)],
