@@ -17,6 +17,7 @@ import numpy as np
 
 from fgloc.core.compiled import compiled
 from fgloc.core.measurements import Floats, Stamps
+from fgloc.errors import FglocError
 from fgloc.factors.tables import FactorTable, Linearised
 
 SINGULAR = 1e-13
@@ -76,8 +77,12 @@ def stack(
 ) -> ChainRows:
     """Return the rows of linearised tables with their robust weights (M,), sorted by keyframe.
 
-    `prior` (P, G + 1) are rows on the calibration alone. O(N).
+    `prior` (P, G + 1) are rows on the calibration alone. Raises FglocError for factors that see
+    landmarks: they make the graph more than a chain, which is for `smoothing.isam`. O(N).
     """
+    for table, _, _ in linear:
+        if table.sees_landmarks:
+            raise FglocError(f"{table.sensor}: landmarks do not fit into a chain")
     g = prior.shape[1] - 1
     count = np.zeros(keyframes, dtype=np.int64)
     for table, _, _ in linear:
@@ -334,18 +339,28 @@ class Elimination:
         return root
 
 
-def eliminate(system: ChainRows) -> Elimination | None:
-    """Return the least-squares step of a chain whose priors are all among its rows.
+def eliminate(
+    system: ChainRows, damping: float = 0.0, with_carries: bool = True
+) -> Elimination | None:
+    """Return the least-squares step of all rows; None if they do not determine it.
 
-    None if they do not determine it. For a sliding window, which goes on from the carries; `solve`
-    is for whole problems.
+    `damping` adds damping·diag(JᵀJ), as Levenberg and Marquardt do; `with_carries` keeps what a
+    sliding window goes on from, else `carries` is empty.
     """
     keyframes, b, g = system.bounds.size - 1, system.width, system.calibration
+    prior, extra = system.prior, np.zeros((keyframes, b))
+    if damping > 0.0:
+        by_keyframe, by_calibration = system.squared_norms()
+        extra = np.sqrt(damping * by_keyframe)
+        diagonal = np.diag(np.sqrt(damping * by_calibration))
+        prior = np.concatenate([prior, np.append(diagonal, np.zeros((g, 1)), axis=1)])
     carry = np.zeros((b + g, b + g + 1))
-    carries = np.empty((keyframes, b + g, b + g + 1))
+    if g and prior.shape[0]:
+        triangle = _triangle(prior)[:g]
+        carry[: triangle.shape[0], b:] = triangle
+    carries = np.empty((keyframes if with_carries else 0, b + g, b + g + 1))
     triangular = np.empty((keyframes, b, 2 * b + g + 1))
-    undamped = np.zeros((keyframes, b))
-    if not _eliminate(system.rows, system.bounds, undamped, b, g, carry, triangular, carries):
+    if not _eliminate(system.rows, system.bounds, extra, b, g, carry, triangular, carries):
         return None
     left = _triangle(carry[:, b:])[:g]
     pivots = np.abs(np.diag(left))
@@ -366,36 +381,16 @@ def solve(
 ) -> ArrowSolution | None:
     """Return the least-squares step of all rows; None if they do not determine it.
 
-    `damping` adds damping·diag(JᵀJ), as Levenberg and Marquardt do; `with_covariance` adds the
-    marginals of keyframes and calibration.
+    `damping` as in `eliminate`; `with_covariance` adds the marginals of keyframes and calibration.
     """
-    keyframes, b, g = system.bounds.size - 1, system.width, system.calibration
-    prior, extra = system.prior, np.zeros((keyframes, b))
-    if damping > 0.0:
-        by_keyframe, by_calibration = system.squared_norms()
-        extra = np.sqrt(damping * by_keyframe)
-        diagonal = np.diag(np.sqrt(damping * by_calibration))
-        prior = np.concatenate([prior, np.append(diagonal, np.zeros((g, 1)), axis=1)])
-    carry = np.zeros((b + g, b + g + 1))
-    if g:
-        carry[:g, b:] = _triangle(prior)[:g]
-    triangular = np.empty((keyframes, b, 2 * b + g + 1))
-    none = np.empty((0, b + g, b + g + 1))
-    if not _eliminate(system.rows, system.bounds, extra, b, g, carry, triangular, none):
-        return None
-    left = _triangle(carry[:, b:])[:g]
-    pivots = np.abs(np.diag(left))
-    if g and not np.all(pivots > SINGULAR * np.abs(left[:, :g]).max()):
-        return None
-    inverse = np.linalg.inv(left[:, :g]) if g else np.zeros((0, 0))
-    calibration = np.ascontiguousarray(inverse @ left[:, g])
-    step = np.zeros((keyframes, b))
-    _substitute(triangular, b, calibration, step)
-    if not (np.isfinite(step).all() and np.isfinite(calibration).all()):
+    found = eliminate(system, damping, with_carries=False)
+    if found is None:
         return None
     if not with_covariance:
-        return ArrowSolution(step, calibration)
+        return ArrowSolution(found.step, found.calibration_step)
+    g = system.calibration
+    inverse = np.linalg.inv(found.left[:, :g]) if g else np.zeros((0, 0))
     sigma = inverse @ inverse.T
-    covariance = np.empty((keyframes, b, b))
-    _marginals(triangular, b, sigma, covariance)
-    return ArrowSolution(step, calibration, covariance, sigma)
+    covariance = np.empty((*found.step.shape, system.width))
+    _marginals(found.triangular, system.width, sigma, covariance)
+    return ArrowSolution(found.step, found.calibration_step, covariance, sigma)

@@ -10,8 +10,9 @@ import pytest
 
 from fgloc.core.measurements import Floats
 from fgloc.datasets.simulator import load_sim
-from fgloc.factors.tables import FactorTable, Linearised, linearise
-from fgloc.smoothing.arrow import ArrowSolution, ChainRows, solve, stack
+from fgloc.errors import FglocError
+from fgloc.factors.tables import FactorTable, Kind, Linearised, linearise
+from fgloc.smoothing.arrow import ArrowSolution, ChainRows, eliminate, solve, stack
 from fgloc.smoothing.build import build_problem
 from fgloc.smoothing.elimination import _add_rows, solve_with_gtsam
 from fgloc.smoothing.settings import Settings
@@ -248,3 +249,48 @@ def test_marginals_are_gtsams(graph: Graph) -> None:
     theirs = marginals.marginalCovariance(k)
     unit_of = np.sqrt(np.outer(np.diag(theirs), np.diag(theirs)))
     np.testing.assert_allclose((ours.calibration_covariance - theirs) / unit_of, 0.0, atol=1e-6)
+
+
+def test_what_is_carried_to_a_keyframe_is_what_the_ones_before_tell() -> None:
+    system = random_system(6, 3, 2)
+    found = eliminate(system)
+    assert found is not None
+    at, b = 4, system.width
+    # The rows of the keyframes before it, with nothing of its own, and the prior.
+    matrix, right = dense(system)
+    before = np.r_[0 : system.bounds[at], system.bounds[-1] : matrix.shape[0]]
+    live = np.r_[0 : (at + 1) * b, (system.bounds.size) * b : matrix.shape[1]]
+    information = matrix[np.ix_(before, live)].T @ matrix[np.ix_(before, live)]
+    drop = at * b
+    marginal = information[drop:, drop:] - information[drop:, :drop] @ np.linalg.solve(
+        information[:drop, :drop], information[:drop, drop:]
+    )
+    carry = found.carries[at][:, :-1]
+    np.testing.assert_allclose(carry.T @ carry, marginal, atol=1e-9)
+    assert right.size == matrix.shape[0]
+
+
+def test_the_newest_root_is_the_inverse_of_its_joint_marginal() -> None:
+    system = random_system(6, 3, 2)
+    found = eliminate(system)
+    assert found is not None
+    matrix, _ = dense(system)
+    kept = [c for c in range(matrix.shape[1]) if not 18 <= c < 21]  # behind the last keyframe
+    covariance = np.linalg.inv(matrix[:, kept].T @ matrix[:, kept])
+    root = found.newest_root()
+    np.testing.assert_allclose(np.linalg.inv(root.T @ root), covariance[-5:, -5:], atol=1e-9)
+
+
+def test_landmarks_are_refused() -> None:
+    point = FactorTable(
+        Kind.RANGE_BEARING,
+        "marks",
+        np.zeros(1, np.int64),
+        np.ones((1, 5)),
+        np.eye(2)[None],
+        slice(0, 0),
+        second=np.zeros(1, np.int64),
+    )
+    linear = linearise(point, np.zeros((1, 3)), np.zeros(0), np.ones((1, 2)))
+    with pytest.raises(FglocError, match="landmarks"):
+        stack([(point, linear, np.ones(1))], 1, 3, np.zeros((0, 1)))
