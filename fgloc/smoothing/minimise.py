@@ -18,6 +18,8 @@ from fgloc.smoothing.settings import Settings
 
 FIRST_DAMPING = 1e-4
 LARGEST_DAMPING = 1e8
+ROUNDING = 1e-9
+"""A change of the cost by less is rounding: the minimum is reached."""
 
 
 @dataclass(frozen=True)
@@ -200,6 +202,8 @@ def minimise(
                 trial = _evaluate(prior, move(point, step, table), at, tables, table)
                 if trial.cost < point.cost:
                     break
+        if trial is not None and 0.0 <= trial.cost - point.cost < ROUNDING:
+            return point, iteration, True
         if trial is None or not np.isfinite(trial.cost) or trial.cost > point.cost * (1 + 1e-12):
             damping = max(damping * 10.0, FIRST_DAMPING)
             if damping > LARGEST_DAMPING:
@@ -208,6 +212,6 @@ def minimise(
         drop = point.cost - trial.cost
         point = trial
         damping = 0.0 if damping <= FIRST_DAMPING else damping / 10.0
-        if drop <= settings.tolerance * max(point.cost, 1e-9) or drop < 1e-9:
+        if drop <= settings.tolerance * max(point.cost, 1e-9) or drop < ROUNDING:
             return point, iteration, True
     return point, settings.max_iterations, False
