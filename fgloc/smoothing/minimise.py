@@ -202,7 +202,8 @@ def minimise(
                 trial = _evaluate(prior, move(point, step, table), at, tables, table)
                 if trial.cost < point.cost:
                     break
-        if trial is not None and 0.0 <= trial.cost - point.cost < ROUNDING:
+        # A damped step may be small for that alone.
+        if damping == 0.0 and trial is not None and 0.0 <= trial.cost - point.cost < ROUNDING:
             return point, iteration, True
         if trial is None or not np.isfinite(trial.cost) or trial.cost > point.cost * (1 + 1e-12):
             damping = max(damping * 10.0, FIRST_DAMPING)
