@@ -92,7 +92,10 @@ def shuffle(packets: list[Packet], rng: np.random.Generator) -> list[Packet]:
     """Deliver some packets up to 5 s late."""
     late = float(rng.choice([0.1, 1.0, 5.0]))
     hit = _some(packets, rng, float(rng.choice([0.1, 1.0])))
-    when = [p.stamp_ns + (late * S * rng.random() if h else 0) for p, h in zip(packets, hit, strict=True)]
+    when = [
+        p.stamp_ns + (late * S * rng.random() if h else 0)
+        for p, h in zip(packets, hit, strict=True)
+    ]
     return [packets[i] for i in np.argsort(when, kind="stable")]
 
 
