@@ -106,7 +106,7 @@ def final_error(poses: Floats, truth: Floats) -> tuple[float, float]:
     return float(np.hypot(off[0], off[1])), float(abs(wrap(off[2])))
 
 
-@pytest.mark.parametrize("held", [6000, 200])
+@pytest.mark.parametrize("held", [6000, 400])
 def test_a_start_found_after_standing_for_a_minute(
     monkeypatch: pytest.MonkeyPatch, held: int
 ) -> None:
