@@ -37,16 +37,18 @@ FAR = 0.5
 
 PASSES = 3
 """The whole window is linearised so often at most."""
-TELLING = 4
-"""So many fixes after the heading was lost tell which way it went."""
 LONGEST = 1000
-"""Keyframes that a window may hold while it waits for them."""
+"""Keyframes that a window may hold until the heading is known well enough to sum it up."""
 SURE = 0.1
 """Heading sigma [rad] up to which summing up old keyframes does no harm."""
 SELDOM = 30
 """Keyframes of the window for each one between two passes over all of it, at least."""
 FEWEST = 2
 """Fewer factors of fixes and cameras in the window do not tell whether it is right."""
+STEPS = 12
+"""Steps that a search for a minimum may take: the robot does not stand still meanwhile."""
+ROUGH = 1e-3
+"""Relative decrease at which a minimum is found well enough; the next passes go on from there."""
 HELD = 6000
 """Keyframes that a window may hold while it is not known where the drive started."""
 FLOOR = 1e-14
@@ -142,7 +144,6 @@ class WindowSmoother:
         self.repairs = 0
         self._strain = 0.0
         self.holding = False
-        self._lost = 0
         self._fixes = 0
         self._wait = 0
         self._pause = 1
@@ -229,13 +230,8 @@ class WindowSmoother:
         return self._strain
 
     def _explore(self) -> None:
-        """Look for a better minimum where the fixes are missed, the more seldom the more in vain.
-
-        Until enough fixes have come since the heading was lost the window does not slide: what
-        it would be summed up to might be wrong.
-        """
+        """Look for a better minimum where the fixes are missed, more seldom the more in vain."""
         fixes = sum(t.added for t in self.window.tables.values() if t.kind in ARBITERS)
-        self._lost = max(self._lost - max(fixes - self._fixes, 0), 0)
         new, self._fixes = fixes > self._fixes, fixes
         if not new or self.strain() < STRAINED:
             return
@@ -272,10 +268,12 @@ class WindowSmoother:
         window = self.window
         assert window.prior is not None
         window.integrate_again(self.calibration)
+        explore = True
         for _ in range(PASSES):
             step = self._step(window.base, window.prior, False, judging)
             if step is None or not trusted(step):
-                self._repair()
+                self._repair(explore)
+                explore = False
                 step = self._step(window.base, window.prior, False, judging)
             if step is None:
                 raise SolverError("the window does not determine its keyframes")
@@ -285,11 +283,11 @@ class WindowSmoother:
             if reweight(window, step) < SETTLED:
                 break
 
-    def _repair(self) -> None:
+    def _repair(self, explore: bool = True) -> None:
         """Look for the window's minimum with damped steps: the plain ones led too far."""
         assert self.window.prior is not None
         self.repairs += 1
-        self._move_to(self._minimum(self.window.prior, self.window.tables.values(), True))
+        self._move_to(self._minimum(self.window.prior, self.window.tables.values(), explore))
 
     def _minimum(self, prior: FactorTable, live: Iterable[LiveTable], explore: bool) -> Point:
         """Return the best minimum of the window with these factors and the wheels'.
@@ -307,15 +305,17 @@ class WindowSmoother:
         g = self.calibration.size
         free = CalibrationPrior(np.zeros(g), np.zeros((g, g)))
         best: Point | None = None
+        quick = replace(self._settings, max_iterations=STEPS, tolerance=ROUGH)
         for states, u in self._starts(problem, prior, explore):
-            plain, _, _ = minimise(problem, self._settings, states, u, False, free)
-            point, _, _ = minimise(problem, self._settings, plain.states, plain.u, True, free)
+            plain, _, _ = minimise(problem, quick, states, u, False, free)
+            point, _, _ = minimise(problem, quick, plain.states, plain.u, True, free)
             if best is None or point.cost < best.cost:
                 best = point
             if mean_cost(point.tables, [rows.squared for rows in point.linear]) < STRAINED:
                 break
         assert best is not None
-        return best
+        point, _, _ = minimise(problem, quick, best.states, best.u, True, free)
+        return point
 
     def _starts(
         self, problem: Problem, prior: FactorTable, explore: bool
@@ -381,7 +381,7 @@ class WindowSmoother:
         posterior = self.posterior
         fixed = any(t.kind in FIXES and t.added > 1 for t in self.window.tables.values())
         vague = posterior.covariance[2, 2] > SURE**2
-        return fixed and (vague or self._lost > 0) and len(self.window.stamps_ns) < LONGEST
+        return fixed and vague and len(self.window.stamps_ns) < LONGEST
 
     def _slide(self) -> dict[str, Floats]:
         """Sum up keyframes older than the lag in a prior; return their factors' last weights."""

@@ -8,7 +8,7 @@ looked at again. Scalar code: a call costs microseconds.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -212,8 +212,3 @@ class CameraStream(Stream):
         if fraction == 0.0:
             return pose
         return interpolate(pose, self.values[at + 1], np.array(fraction))
-
-
-def reading_value(values: Sequence[float]) -> Any:
-    """Return a reading as its stream wants it: a float, or an array for a pose."""
-    return float(values[0]) if len(values) == 1 else np.array(values, dtype=np.float64)
