@@ -36,9 +36,9 @@ from fgloc.experiments.bench_batch import FIX_SIGMA, bench_drive, bench_drive_wi
 from fgloc.factors.tables import FactorTable, Kind
 from fgloc.online.engine import OnlineEngine
 from fgloc.online.online import start_of
+from fgloc.online.priors import prior_table
 from fgloc.online.replay import packets
 from fgloc.online.settings import OnlineSettings
-from fgloc.online.smoother import prior_table
 from fgloc.smoothing.build import build_problem
 from fgloc.smoothing.settings import Settings
 

@@ -35,9 +35,10 @@ from fgloc.online.fixes import Fix, FixTable
 from fgloc.online.incremental import IncrementalSmoother
 from fgloc.online.layout import Layout, make_layout
 from fgloc.online.plausible import reading_fault, sigma_fault, size_of, wheels_fault
+from fgloc.online.priors import after_move, first_prior
 from fgloc.online.propagate import Propagation
 from fgloc.online.settings import OnlineSettings
-from fgloc.online.smoother import WindowSmoother, first_prior, loosened
+from fgloc.online.smoother import WindowSmoother
 from fgloc.online.streams import CameraStream, GyroStream, Stream, YawStream
 from fgloc.online.tally import Tally
 from fgloc.online.trust import Trust, Verdict
@@ -277,7 +278,7 @@ class OnlineEngine:
             known.sqrt_information.view[0] = np.diag(1.0 / sigma)
         else:
             # The start is summed up in the prior by now, with the rest of the path's beginning.
-            prior.sqrt_information[0] = loosened(prior.sqrt_information[0], sigma)
+            prior.sqrt_information[0] = after_move(prior.sqrt_information[0], sigma)
         self.smoother.start_again()
 
     def _moved(self, number: int, stamp_ns: int) -> Floats:

@@ -16,15 +16,10 @@ from fgloc.core.consistency import gate_threshold
 from fgloc.core.geometry import rotate_covariance
 from fgloc.core.measurements import Floats, Stamps
 from fgloc.factors.tables import FactorTable, linearise
+from fgloc.online.passes import Judged, judge
+from fgloc.online.priors import Posterior, definite, prior_table
 from fgloc.online.settings import OnlineSettings
-from fgloc.online.smoother import (
-    Judged,
-    Posterior,
-    SolverError,
-    definite,
-    judge,
-    prior_table,
-)
+from fgloc.online.smoother import SolverError
 from fgloc.online.window import Window
 
 

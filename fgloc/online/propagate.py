@@ -8,7 +8,7 @@ from fgloc.core.geometry import compose, compose_scalar, rotate_covariance
 from fgloc.core.measurements import Floats
 from fgloc.core.preintegration import Integrator
 from fgloc.online.layout import Layout
-from fgloc.online.smoother import Posterior
+from fgloc.online.priors import Posterior
 
 
 class Propagation:

@@ -15,25 +15,34 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fgloc.core.consistency import gate_threshold
-from fgloc.core.geometry import chain, compose
-from fgloc.core.kinematics import prior_correlation
+from fgloc.core.geometry import chain
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
-from fgloc.factors.tables import FactorTable, Kind, Linearised, linearise
+from fgloc.factors.tables import FactorTable
 from fgloc.online.live_table import LiveTable
+from fgloc.online.passes import (
+    Judged,
+    Judging,
+    Pass,
+    accept,
+    reweight,
+    run_pass,
+    trusted,
+)
+from fgloc.online.priors import (
+    Posterior,
+    after_walk,
+    carried_prior,
+    definite,
+    posterior_prior,
+    prior_table,
+)
 from fgloc.online.settings import OnlineSettings
 from fgloc.online.window import HIDDEN, Window
-from fgloc.smoothing.arrow import Elimination, eliminate, stack
 from fgloc.smoothing.minimise import CalibrationPrior, Point, minimise
 from fgloc.smoothing.problem import FIXES, Problem
 from fgloc.smoothing.sweep import starting_calibrations
 from fgloc.smoothing.trust import ARBITERS, STRAINED
-
-BENT = 0.3
-"""A step that turns a keyframe by more [rad] is beyond its linearisation."""
-FAR = 0.5
-"""So is one that changes a calibration variable (log-ratio or half tracks) by more."""
-
 
 PASSES = 3
 """The whole window is linearised so often at most."""
@@ -51,44 +60,12 @@ ROUGH = 1e-3
 """Relative decrease at which a minimum is found well enough; the next passes go on from there."""
 HELD = 6000
 """Keyframes that a window may hold while it is not known where the drive started."""
-FLOOR = 1e-14
-"""Smallest variance, beside those of the same window."""
 SETTLED = 0.3
 """A change of a robust weight that is worth another pass."""
-
-Judging = tuple[Floats, Floats, dict[int, float]]
-"""Joint covariance of state and calibration, that of the last displacement, gates by dimension."""
 
 
 class SolverError(FglocError):
     """The window does not determine its keyframes, whatever is tried."""
-
-
-@dataclass(frozen=True)
-class Posterior:
-    """What is known at a keyframe from everything up to now."""
-
-    number: int
-    """Keyframe."""
-    calibration: Floats
-    """(G,) calibration in solver variables."""
-    root: Floats
-    """(B+G, B+G) square-root information of state (body axes) and calibration; (0, 0) where the
-    solver has covariances only."""
-    covariance: Floats
-    """(B+G, B+G) their joint covariance."""
-
-
-@dataclass(frozen=True)
-class Judged:
-    """The innovations of one table's new measurements."""
-
-    table: LiveTable
-    """Where they are."""
-    nis: Floats
-    """(M,) normalised innovations squared."""
-    dimension: int
-    """d, the degrees of freedom of each."""
 
 
 @dataclass(frozen=True)
@@ -117,18 +94,6 @@ def mean_cost(tables: Sequence[FactorTable], squared: Sequence[Floats]) -> float
             count += values.size * table.dimension
             rows += values.size
     return cost / count if rows >= FEWEST else 0.0
-
-
-def first_prior(window: Window, state: Floats, root: Floats) -> FactorTable:
-    """Return the prior of a state (B,) with square-root information (B, B), robot at nominal."""
-    layout = window.layout
-    b, parameters = layout.width, layout.parameters
-    sigma = np.array([p.solver_sigma for p in parameters])
-    covariance = prior_correlation(parameters) * np.outer(sigma, sigma)
-    whole = np.zeros((layout.size, layout.size))
-    whole[:b, :b] = root
-    whole[b:, b:] = np.linalg.inv(np.linalg.cholesky(covariance))
-    return prior_table(state, np.zeros(len(parameters)), whole)
 
 
 class WindowSmoother:
@@ -400,272 +365,11 @@ class WindowSmoother:
         prior = carried_prior(window, oldest)
         if prior is None:
             return {}
+        window.prior = prior
         seconds = (window.stamp(oldest) - window.stamp(window.base)) * 1e-9
-        window.prior = self._loosened(prior, seconds)
-        return window.drop(oldest)
-
-    def _loosened(self, prior: FactorTable, seconds: float) -> FactorTable:
-        """Let the robot's own parameters walk for some time.
-
-        With u' = u + walk, u is eliminated from the rows of the prior and of the walk; on rows,
-        not on covariances, which would lose digits.
-        """
-        layout = self.window.layout
         walk = self._settings.calibration_walk * np.sqrt(seconds)
-        if not walk > 0.0:
-            return prior
-        free = len(layout.free)
-        n, b = layout.size, layout.width
-        sigma = np.array([p.solver_sigma for p in layout.parameters[:free]])
-        root = prior.sqrt_information[0]
-        own = slice(b, b + free)
-        rows = np.zeros((free + n, free + n))
-        rows[:free, :free] = np.diag(1.0 / (walk * sigma))
-        rows[:free, free + b : free + b + free] = -rows[:free, :free]
-        rows[free:, :free] = root[:, own]
-        rows[free:, free:] = root
-        rows[free:, free + b : free + b + free] = 0.0
-        triangle = np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
-        left = np.ascontiguousarray(triangle[free:, free:])
-        return replace(prior, sqrt_information=left[None])
-
-
-def definite(covariance: Floats) -> tuple[Floats, Floats]:
-    """Return square-root information (N, N) of a covariance, and the covariance that it means.
-
-    Directions that rounding has left without a variance get the smallest that can be told from
-    zero beside the others.
-    """
-    sigma = np.sqrt(np.maximum(np.diag(covariance), FLOOR))
-    scaled = covariance / np.outer(sigma, sigma)
-    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
-    values = np.maximum(values, FLOOR)
-    root = (vectors / np.sqrt(values)).T / sigma
-    factor = sigma[:, None] * vectors * np.sqrt(values)
-    return root, factor @ factor.T
-
-
-def loosened(root: Floats, sigma: Floats) -> Floats:
-    """Return square-root information (N, N) of a state after its pose was moved in the map.
-
-    The move is known to sigma (3,) [m, m, rad], alike along both axes of the map.
-    """
-    inverse = np.linalg.inv(root)
-    covariance = inverse @ inverse.T
-    covariance[:3, :3] += np.diag(sigma**2)
-    return definite(covariance)[0]
-
-
-def prior_table(
-    state: Floats, calibration: Floats, root: Floats, offset: Floats | None = None
-) -> FactorTable:
-    """Return the joint prior of a window's first keyframe and the calibration.
-
-    Its mean is `offset` (B+G) away from the state and calibration given.
-    """
-    offset = np.zeros(root.shape[0]) if offset is None else offset
-    return FactorTable(
-        Kind.STATE_PRIOR,
-        "prior",
-        np.zeros(1, np.int64),
-        np.concatenate([state, calibration, offset])[None],
-        np.ascontiguousarray(root)[None],
-        slice(0, calibration.size),
-    )
-
-
-@dataclass(frozen=True)
-class Pass:
-    """One Gauss–Newton step over the keyframes from `begin` to the newest."""
-
-    begin: int
-    """First keyframe."""
-    states: Floats
-    """(K, B) states after the step."""
-    calibration: Floats
-    """(G,) calibration after the step."""
-    elimination: Elimination
-    """Carries and triangular rows, linearised at the states before the step."""
-    tables: tuple[FactorTable, ...]
-    """Factors, the prior first."""
-    live: tuple[LiveTable, ...]
-    """Where tables[1:] come from."""
-    squared: tuple[Floats, ...]
-    """(M,) squared whitened residuals of `tables` that the step predicts."""
-    turned: float
-    """Largest change of a heading [rad]."""
-
-
-def posterior_prior(window: Window, posterior: Posterior) -> FactorTable:
-    """Return everything known at the posterior's keyframe as a prior on it."""
-    state = window.states.view[posterior.number - window.base]
-    return prior_table(state, posterior.calibration, posterior.root)
-
-
-def carried_prior(window: Window, number: int) -> FactorTable | None:
-    """Return what older keyframes tell of one as a prior; None where it cannot be told.
-
-    The carried rows say S·step = right side at the point of linearisation.
-    """
-    if number == window.base:
-        return window.prior
-    row = number - window.base
-    carry = window.carry.view[row]
-    n = carry.shape[0]
-    try:
-        step = np.linalg.solve(carry[:, :n], carry[:, n])
-    except np.linalg.LinAlgError:
-        return None
-    if not np.isfinite(step).all():
-        return None
-    return prior_table(
-        window.linear_states.view[row],
-        window.linear_calibration.view[row],
-        carry[:, :n].copy(),
-        step,
-    )
-
-
-def judge(
-    live: LiveTable,
-    rows: slice,
-    linear: Linearised,
-    joint: Floats,
-    moved: Floats,
-    gate: float,
-) -> Judged | None:
-    """Give the new rows of a table their first weights, by what was expected of them.
-
-    The innovation's covariance is that of the measurement plus that of the prediction: `joint`
-    (B+G, B+G) of the newest state and the calibration for factors of one keyframe, `moved` (3, 3)
-    of the wheels' last displacement for factors between two. A normalised innovation squared
-    beyond `gate` is weighted as the loss would weight a residual of that size; a large residual
-    that the prediction's own uncertainty explains is not.
-    """
-    weight = live.weight.view[rows]
-    new = np.flatnonzero(np.isinf(weight))
-    if new.size == 0:
-        return None
-    b = linear.by_first.shape[2]
-    sides = joint if not live.pairwise else joint.copy()
-    if live.pairwise:
-        sides[:b, :] = 0.0
-        sides[:, :b] = 0.0
-        sides[:3, :3] = moved
-    by_state = linear.by_second if live.pairwise else linear.by_first
-    own = np.array([*range(b), *range(b + live.calibration.start, b + live.calibration.stop)])
-    jacobian = np.concatenate([by_state[new], linear.by_calibration[new]], axis=2)
-    innovation = jacobian @ sides[np.ix_(own, own)] @ jacobian.swapaxes(1, 2)
-    innovation += np.eye(jacobian.shape[1])
-    r = linear.residual[new]
-    nis = np.einsum("ka,ka->k", r, np.linalg.solve(innovation, r[:, :, None])[:, :, 0])
-    weight[new] = np.where(nis > gate, live.loss.weight(nis), 1.0)
-    return Judged(live, nis, r.shape[1])
-
-
-def run_pass(
-    window: Window,
-    begin: int,
-    prior: FactorTable,
-    calibration: Floats,
-    after_begin: bool,
-    judging: Judging | None,
-) -> tuple[Pass | None, list[Judged]]:
-    """Linearise the keyframes from `begin` on at their states and take one step.
-
-    `after_begin`: factors of keyframe `begin` alone are in the prior already. `judging` holds the
-    joint covariance, that of the last displacement, and the gates by residual dimension.
-    None if the system is indeterminate or its solution not finite. O(K) with a compiled core.
-    """
-    end = window.newest + 1
-    states = window.states.view[begin - window.base :]
-    tables: list[FactorTable] = []
-    live: list[LiveTable] = []
-    slices: list[slice] = []
-    for table in window.tables.values():
-        low = begin + 1 if after_begin and not table.pairwise else begin
-        rows = table.rows(low, end)
-        if rows.start < rows.stop:
-            tables.append(table.view(rows, begin))
-            live.append(table)
-            slices.append(rows)
-    everything = (prior, *tables)
-    linear = [linearise(t, states, calibration) for t in everything]
-    judged: list[Judged] = []
-    weights = [np.ones(1)]
-    for table, rows, lin in zip(live, slices, linear[1:], strict=True):
-        if judging is not None:
-            joint, moved, gates = judging
-            found = judge(table, rows, lin, joint, moved, gates[lin.residual.shape[1]])
-            if found is not None:
-                judged.append(found)
-        weight = table.weight.view[rows]
-        weights.append(np.where(np.isinf(weight), 1.0, weight))
-    width = window.layout.width
-    no_rows = np.zeros((0, calibration.size + 1))
-    system = stack(
-        list(zip(everything, linear, weights, strict=True)), states.shape[0], width, no_rows
-    )
-    elimination = eliminate(system)
-    if elimination is None:
-        return None, judged
-    step, u = elimination.step, elimination.calibration_step
-    moved_states = states + step
-    moved_states[:, :3] = compose(states[:, :3], step[:, :3])
-    squared = tuple(_predicted(t, lin, step, u) for t, lin in zip(everything, linear, strict=True))
-    return (
-        Pass(
-            begin,
-            moved_states,
-            calibration + u,
-            elimination,
-            everything,
-            tuple(live),
-            squared,
-            float(np.abs(step[:, 2]).max()),
-        ),
-        judged,
-    )
-
-
-def _predicted(table: FactorTable, linear: Linearised, step: Floats, u: Floats) -> Floats:
-    """Return the (M,) squared whitened residuals after a step, to first order."""
-    r = linear.residual + np.einsum("kab,kb->ka", linear.by_first, step[table.first])
-    if table.pairwise:
-        r += np.einsum("kab,kb->ka", linear.by_second, step[table.first + 1])
-    r += linear.by_calibration @ u[table.calibration]
-    return np.asarray(np.einsum("ka,ka->k", r, r))
-
-
-def trusted(step: Pass) -> bool:
-    """Return True if a step stays where its linearisation holds."""
-    change = np.abs(step.elimination.calibration_step).max(initial=0.0)
-    return step.turned < BENT and bool(change < FAR)
-
-
-def accept(window: Window, step: Pass) -> Posterior:
-    """Write a step's states and carries into the window; return what is known at the newest."""
-    row = step.begin - window.base
-    before = window.states.view[row:].copy()
-    window.states.view[row:] = step.states
-    e = step.elimination
-    window.carry.view[row + 1 :] = e.carries[1:]
-    window.linear_states.view[row + 1 :] = before[1:]
-    window.linear_calibration.view[row + 1 :] = step.calibration - e.calibration_step
-    root = e.newest_root()
-    inverse = np.linalg.inv(root)
-    return Posterior(window.newest, step.calibration, root, inverse @ inverse.T)
-
-
-def reweight(window: Window, step: Pass) -> float:
-    """Give all factors of a whole-window pass the robust weights of its predicted residuals.
-
-    Returns the largest change of a weight.
-    """
-    change = 0.0
-    for live, table, squared in zip(step.live, step.tables[1:], step.squared[1:], strict=True):
-        rows = live.rows(step.begin, window.newest + 1)
-        weights = table.loss.weight(squared)
-        change = max(change, float(np.abs(weights - live.weight.view[rows]).max(initial=0.0)))
-        live.weight.view[rows] = weights
-    return change
+        free = window.layout.parameters[: len(window.layout.free)]
+        if walk > 0.0 and free:
+            sigma = np.array([p.solver_sigma for p in free])
+            window.prior = after_walk(prior, window.layout.width, walk * sigma)
+        return window.drop(oldest)

@@ -8,7 +8,8 @@ import numpy as np
 
 from fgloc.core.measurements import Floats
 from fgloc.factors.tables import FactorTable, Kind
-from fgloc.online.smoother import WindowSmoother, first_prior, mean_cost
+from fgloc.online.priors import first_prior
+from fgloc.online.smoother import WindowSmoother, mean_cost
 from fgloc.smoothing.trust import GAIN, STRAINED, STRETCHED
 
 SUSPECTS = (Kind.YAW, Kind.YAW_RATE)

@@ -15,9 +15,9 @@ from fgloc.core.preintegration import Integrator
 from fgloc.datasets.simulator import load_sim
 from fgloc.online import smoother
 from fgloc.online.online import OnlineSmoother, notes
+from fgloc.online.priors import after_move, after_walk, prior_table
 from fgloc.online.replay import packets
 from fgloc.online.settings import OnlineSettings
-from fgloc.online.smoother import prior_table
 
 from .driving import counted, engine_for, feed, run, without_truth
 from .fuzz import ROBOTS, fuzz
@@ -82,11 +82,11 @@ def test_a_walk_of_the_calibration_adds_to_its_covariance() -> None:
     rng = np.random.default_rng(2)
     root = np.triu(rng.normal(size=(n, n))) + 3.0 * np.eye(n)
     prior = prior_table(np.zeros(b), np.zeros(n - b), root)
-    walked = engine.smoother._loosened(prior, 7.0).sqrt_information[0]
     expected = np.linalg.inv(root.T @ root)
-    sigma = np.array([p.solver_sigma for p in layout.parameters[:free]])
+    walk = np.array([0.01 * p.solver_sigma for p in layout.parameters[:free]])
+    walked = after_walk(prior, b, walk).sqrt_information[0]
     own = np.arange(b, b + free)
-    expected[own, own] += 7.0 * (engine.settings.calibration_walk * sigma) ** 2
+    expected[own, own] += walk**2
     np.testing.assert_allclose(np.linalg.inv(walked.T @ walked), expected, rtol=1e-8, atol=1e-12)
 
 
@@ -94,7 +94,7 @@ def test_a_moved_pose_is_as_unsure_as_its_move() -> None:
     rng = np.random.default_rng(4)
     root = np.triu(rng.normal(size=(6, 6))) + 3.0 * np.eye(6)
     sigma = np.array([2.0, 2.0, 0.5])
-    after = smoother.loosened(root, sigma)
+    after = after_move(root, sigma)
     expected = np.linalg.inv(root.T @ root)
     expected[:3, :3] += np.diag(sigma**2)
     np.testing.assert_allclose(np.linalg.inv(after.T @ after), expected, rtol=1e-8)

@@ -1,0 +1,136 @@
+"""What is known at one keyframe of the window: posteriors, and priors made of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fgloc.core.kinematics import prior_correlation
+from fgloc.core.measurements import Floats
+from fgloc.factors.tables import FactorTable, Kind
+from fgloc.online.window import Window
+
+FLOOR = 1e-14
+"""Smallest variance, beside those of the same window."""
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """What is known at a keyframe from everything up to now."""
+
+    number: int
+    """Keyframe."""
+    calibration: Floats
+    """(G,) calibration in solver variables."""
+    root: Floats
+    """(B+G, B+G) square-root information of state (body axes) and calibration; (0, 0) where the
+    solver has covariances only."""
+    covariance: Floats
+    """(B+G, B+G) their joint covariance."""
+
+
+def prior_table(
+    state: Floats, calibration: Floats, root: Floats, offset: Floats | None = None
+) -> FactorTable:
+    """Return the joint prior of a window's first keyframe and the calibration.
+
+    Its mean is `offset` (B+G) away from the state and calibration given.
+    """
+    offset = np.zeros(root.shape[0]) if offset is None else offset
+    return FactorTable(
+        Kind.STATE_PRIOR,
+        "prior",
+        np.zeros(1, np.int64),
+        np.concatenate([state, calibration, offset])[None],
+        np.ascontiguousarray(root)[None],
+        slice(0, calibration.size),
+    )
+
+
+def first_prior(window: Window, state: Floats, root: Floats) -> FactorTable:
+    """Return the prior of a state (B,) with square-root information (B, B), robot at nominal."""
+    layout = window.layout
+    b, parameters = layout.width, layout.parameters
+    sigma = np.array([p.solver_sigma for p in parameters])
+    covariance = prior_correlation(parameters) * np.outer(sigma, sigma)
+    whole = np.zeros((layout.size, layout.size))
+    whole[:b, :b] = root
+    whole[b:, b:] = np.linalg.inv(np.linalg.cholesky(covariance))
+    return prior_table(state, np.zeros(len(parameters)), whole)
+
+
+def posterior_prior(window: Window, posterior: Posterior) -> FactorTable:
+    """Return everything known at the posterior's keyframe as a prior on it."""
+    state = window.states.view[posterior.number - window.base]
+    return prior_table(state, posterior.calibration, posterior.root)
+
+
+def carried_prior(window: Window, number: int) -> FactorTable | None:
+    """Return what older keyframes tell of one as a prior; None where it cannot be told.
+
+    The carried rows say S·step = right side at the point of linearisation.
+    """
+    if number == window.base:
+        return window.prior
+    row = number - window.base
+    carry = window.carry.view[row]
+    n = carry.shape[0]
+    try:
+        step = np.linalg.solve(carry[:, :n], carry[:, n])
+    except np.linalg.LinAlgError:
+        return None
+    if not np.isfinite(step).all():
+        return None
+    return prior_table(
+        window.linear_states.view[row],
+        window.linear_calibration.view[row],
+        carry[:, :n].copy(),
+        step,
+    )
+
+
+def after_walk(prior: FactorTable, width: int, walk: Floats) -> FactorTable:
+    """Return a prior after the first F calibration variables were free to walk by `walk` (F,).
+
+    With u' = u + walk, u is eliminated from the rows of the prior and of the walk; on rows, not on
+    covariances, which would lose digits. `width` is that of the state, B.
+    """
+    root = prior.sqrt_information[0]
+    free, n, b = walk.size, root.shape[0], width
+    own = slice(b, b + free)
+    rows = np.zeros((free + n, free + n))
+    rows[:free, :free] = np.diag(1.0 / walk)
+    rows[:free, free + b : free + b + free] = -rows[:free, :free]
+    rows[free:, :free] = root[:, own]
+    rows[free:, free:] = root
+    rows[free:, free + b : free + b + free] = 0.0
+    triangle = np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
+    left = np.ascontiguousarray(triangle[free:, free:])
+    return replace(prior, sqrt_information=left[None])
+
+
+def definite(covariance: Floats) -> tuple[Floats, Floats]:
+    """Return square-root information (N, N) of a covariance, and the covariance that it means.
+
+    Directions that rounding has left without a variance get the smallest that can be told from
+    zero beside the others.
+    """
+    sigma = np.sqrt(np.maximum(np.diag(covariance), FLOOR))
+    scaled = covariance / np.outer(sigma, sigma)
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    values = np.maximum(values, FLOOR)
+    root = (vectors / np.sqrt(values)).T / sigma
+    factor = sigma[:, None] * vectors * np.sqrt(values)
+    return root, factor @ factor.T
+
+
+def after_move(root: Floats, sigma: Floats) -> Floats:
+    """Return square-root information (N, N) of a state after its pose was moved in the map.
+
+    The move is known to sigma (3,) [m, m, rad], alike along both axes of the map.
+    """
+    inverse = np.linalg.inv(root)
+    covariance = inverse @ inverse.T
+    covariance[:3, :3] += np.diag(sigma**2)
+    return definite(covariance)[0]
