@@ -38,7 +38,7 @@ def test_propagated_covariance_is_that_of_drawn_starts_and_calibrations() -> Non
         engine.propagation.add(packet.values, np.zeros(2), 0.1)
     noise = engine.propagation.displacement_covariance
     rng = np.random.default_rng(1)
-    integrator = Integrator(drive.robot, drive.wheels.resolution)
+    integrator = Integrator(drive.robot)
     newest = engine.propagation.state
     draws = rng.multivariate_normal(
         np.zeros(posterior.covariance.shape[0]), posterior.covariance, size=4000
