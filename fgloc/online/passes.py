@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fgloc.core.compiled import compiled
 from fgloc.core.geometry import compose
-from fgloc.core.measurements import Floats
+from fgloc.core.measurements import Floats, Stamps
 from fgloc.factors.tables import FactorTable, Linearised, linearise
 from fgloc.online.live_table import LiveTable
 from fgloc.online.priors import Posterior
@@ -160,11 +161,48 @@ def run_pass(
 
 def _predicted(table: FactorTable, linear: Linearised, step: Floats, u: Floats) -> Floats:
     """Return the (M,) squared whitened residuals after a step, to first order."""
-    r = linear.residual + np.einsum("kab,kb->ka", linear.by_first, step[table.first])
-    if table.pairwise:
-        r += np.einsum("kab,kb->ka", linear.by_second, step[table.first + 1])
-    r += linear.by_calibration @ u[table.calibration]
-    return np.asarray(np.einsum("ka,ka->k", r, r))
+    squared = np.empty(table.first.size)
+    _add_up(
+        table.first,
+        table.pairwise,
+        linear.residual,
+        linear.by_first,
+        linear.by_second,
+        linear.by_calibration,
+        step,
+        u[table.calibration],
+        squared,
+    )
+    return squared
+
+
+@compiled
+def _add_up(
+    first: Stamps,
+    pairwise: bool,
+    residual: Floats,
+    by_first: Floats,
+    by_second: Floats,
+    by_calibration: Floats,
+    step: Floats,
+    u: Floats,
+    squared: Floats,
+) -> None:
+    """Write the squared norms of residual + Jacobian · step into `squared` (M,)."""
+    d, b = by_first.shape[1], by_first.shape[2]
+    for k in range(first.size):
+        i = first[k]
+        total = 0.0
+        for a in range(d):
+            r = residual[k, a]
+            for c in range(b):
+                r += by_first[k, a, c] * step[i, c]
+                if pairwise:
+                    r += by_second[k, a, c] * step[i + 1, c]
+            for c in range(u.size):
+                r += by_calibration[k, a, c] * u[c]
+            total += r * r
+        squared[k] = total
 
 
 def trusted(step: Pass) -> bool:
