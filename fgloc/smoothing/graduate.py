@@ -37,6 +37,8 @@ ROUGH = 1e-2
 BETTER = 0.5
 """Fraction of the judged cost that is worth changing one's mind for: in long slips, where both
 minima tear the wheels, a small gain proves nothing."""
+REPAIRS = 3
+"""How often a solution is repaired by forbidding the wheels to be torn, at most."""
 SETTLED = 1e-3
 """Relative decrease at which a graduated solution can be told from another one."""
 
@@ -76,18 +78,30 @@ def second_look(
     rigid = replace(problem, wheel_loss=PLAIN)
     candidates = []
     iterations = 0
-    for start in (*plain, robust):
-        point = start
-        if start is not robust:
-            point, count = _graduate(rigid, settings, start)
-            iterations += count
-        rough = replace(settings, tolerance=SETTLED)
-        point, count, _ = minimise(rigid, rough, point.states, point.u, True)
-        point, more, _ = minimise(problem, settings, point.states, point.u, True)
+    for start in plain:
+        point, count = _graduate(rigid, settings, start)
+        point, more = _untorn(problem, rigid, settings, point)
         iterations += count + more
         candidates.append(point)
-    best = min(candidates, key=judged)
+    best = min((robust, *candidates), key=judged)
+    # What is still torn may be so for a wrong fix that it believes: one repair shows the next.
+    for _ in range(REPAIRS):
+        point, more = _untorn(problem, rigid, settings, best)
+        iterations += more
+        if not judged(point) < judged(best):
+            break
+        best = point
     return (best if judged(best) < BETTER * judged(robust) else None), iterations
+
+
+def _untorn(
+    problem: Problem, rigid: Problem, settings: Settings, start: Point
+) -> tuple[Point, int]:
+    """Solve from `start` first with quadratic wheels, then with their own loss; iterations too."""
+    rough = replace(settings, tolerance=SETTLED)
+    point, count, _ = minimise(rigid, rough, start.states, start.u, True)
+    point, more, _ = minimise(problem, settings, point.states, point.u, True)
+    return point, count + more
 
 
 def _graduate(problem: Problem, settings: Settings, point: Point) -> tuple[Point, int]:
