@@ -128,6 +128,12 @@ def _localise(commands: Commands[argparse.ArgumentParser]) -> None:
         help="seconds that can still be corrected, or full for the whole drive (default: 30)",
     )
     parser.add_argument(
+        "--engine",
+        choices=("chain", "isam2"),
+        default="chain",
+        help="what solves the window: this project's elimination, or iSAM2 (default: chain)",
+    )
+    parser.add_argument(
         "--realtime",
         metavar="SPEED",
         type=_positive,

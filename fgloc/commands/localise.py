@@ -35,7 +35,9 @@ def run(args: argparse.Namespace) -> int:
             f"{args.drive} stands for {len(drives)} drives and localise takes one; use "
             f"fgloc compare {args.drive} --methods {METHOD}"
         )
-    settings = OnlineSettings(lag_s=math.inf if args.lag == "full" else float(args.lag))
+    settings = OnlineSettings(
+        lag_s=math.inf if args.lag == "full" else float(args.lag), engine=args.engine
+    )
     options = ReplayOptions(args.realtime, args.checkpoint, args.every, args.resume, _say)
     estimators = {METHOD: OnlineSmoother(settings, options)}
     comparison = compare_with_progress(
@@ -46,6 +48,7 @@ def run(args: argparse.Namespace) -> int:
         "drive": args.drive,
         "methods": METHOD,
         "lag": args.lag,
+        "engine": args.engine,
         "realtime": args.realtime,
         "checkpoint": None if args.checkpoint is None else str(args.checkpoint),
         "every": args.every,
