@@ -19,6 +19,10 @@ from fgloc.core.measurements import (
 )
 
 
+CHUNK = 8192
+"""Packets that are turned into Python numbers at a time."""
+
+
 @dataclass(frozen=True)
 class Packet:
     """One measurement as it arrives."""
@@ -70,12 +74,15 @@ def packets(drive: Drive, skip: int = 0) -> Iterator[Packet]:
     when, who, where = np.concatenate(stamps), np.concatenate(source), np.concatenate(index)
     order = np.lexsort((np.where(who == 0, len(streams) + 1, who), when))
     order = order[skip:]
-    for stamp, stream, k in zip(
-        when[order].tolist(), who[order].tolist(), where[order].tolist(), strict=True
-    ):
-        if stream == 0:
-            steering = None if wheels.steering is None else wheels.steering[k]
-            yield Packet(stamp, "", wheels.angles[k], steering)
-        else:
-            name, values, sigma = streams[stream - 1]
-            yield Packet(stamp, name, values[k], None if sigma is None else sigma[k])
+    # Python numbers for some thousand packets at a time: for a whole day they would fill memory.
+    for part in range(0, order.size, CHUNK):
+        some = order[part : part + CHUNK]
+        for stamp, stream, k in zip(
+            when[some].tolist(), who[some].tolist(), where[some].tolist(), strict=True
+        ):
+            if stream == 0:
+                steering = None if wheels.steering is None else wheels.steering[k]
+                yield Packet(stamp, "", wheels.angles[k], steering)
+            else:
+                name, values, sigma = streams[stream - 1]
+                yield Packet(stamp, name, values[k], None if sigma is None else sigma[k])
