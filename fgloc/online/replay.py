@@ -18,7 +18,6 @@ from fgloc.core.measurements import (
     YawRate,
 )
 
-
 CHUNK = 8192
 """Packets that are turned into Python numbers at a time."""
 
