@@ -11,7 +11,7 @@ import pytest
 
 from fgloc.core.drive import Drive
 from fgloc.datasets.simulator import load_sim
-from fgloc.online import smoother
+from fgloc.online import passes, priors
 from fgloc.online.online import notes
 from fgloc.online.replay import packets
 from fgloc.online.settings import OnlineSettings
@@ -68,7 +68,7 @@ def test_after_a_broken_solver_the_poses_are_right_again(
     settings = OnlineSettings(lag_s=10.0)
     plain = engine_for(drive, settings)
     expected = run(plain, sent, every=100)
-    monkeypatch.setattr(smoother, "eliminate", eliminating)
+    monkeypatch.setattr(passes, "eliminate", eliminating)
     engine = engine_for(drive, settings)
     poses = run(engine, sent, every=5)
     assert calls > broken.stop
@@ -93,7 +93,7 @@ def test_giving_up_goes_on_from_now_and_not_from_the_newest_keyframe(
     run(engine, sent[:105])
     assert engine.now_ns > engine.window.stamp(engine.window.newest)
     before, sure = engine.propagation.state, engine.propagation.covariance()
-    monkeypatch.setattr(smoother, "eliminate", singular)
+    monkeypatch.setattr(passes, "eliminate", singular)
     engine._settle(engine._rebuild())
     np.testing.assert_allclose(engine.propagation.state, before, atol=1e-12)
     np.testing.assert_allclose(engine.propagation.covariance(), sure, rtol=1e-6)
@@ -104,12 +104,12 @@ def test_covariances_with_rounded_directions_have_a_root() -> None:
     rng = np.random.default_rng(1)
     half = rng.normal(size=(5, 3)) * np.array([[1e4], [1.0], [1e-3], [1e-6], [1.0]])
     rank_three = half @ half.T
-    root, meant = smoother.definite(rank_three)
+    root, meant = priors.definite(rank_three)
     sigma = np.sqrt(np.diag(rank_three))
     np.testing.assert_allclose(
         meant / np.outer(sigma, sigma), rank_three / np.outer(sigma, sigma), atol=1e-12
     )
     full = rank_three + np.diag(sigma**2)
-    root, meant = smoother.definite(full)
+    root, meant = priors.definite(full)
     scale = np.outer(1.0 / sigma, sigma)
     np.testing.assert_allclose(root.T @ root @ full * scale.T, np.eye(5), atol=1e-9)
