@@ -58,16 +58,21 @@ def notes(engine: OnlineEngine) -> Iterator[str]:
     yield from engine.left_out.values()
     for name, tally in engine.tally.items():
         for reason, count in tally.rejected.items():
-            yield f"{count} measurements of {name} were rejected: {reason}"
+            what = "1 measurement" if count == 1 else f"{count} measurements"
+            yield f"{what} of {name} rejected: {reason}"
         if tally.components and tally.nis > SURPRISING * tally.components:
             yield (
                 f"{name} surprises the estimate: normalised innovations squared are "
                 f"{tally.nis / tally.components:.3g} on average (1 is right)"
             )
-    for shift in engine.clock.shifts:
-        yield f"the clock was set back by {shift * 1e-9:.3f} s; stamps go on as if it had not been"
+    if engine.clock.shifts:
+        back = ", ".join(f"{shift * 1e-9:.3f} s" for shift in engine.clock.shifts[:3])
+        more = len(engine.clock.shifts) - 3
+        back += f" and {more} more times" if more > 0 else ""
+        yield f"the clock was set back by {back}; stamps go on as if it had not been"
     if engine.rebuilds:
-        yield f"the window was rebuilt {engine.rebuilds} times because its solution failed"
+        times = "once" if engine.rebuilds == 1 else f"{engine.rebuilds} times"
+        yield f"the window was rebuilt {times} because its solution failed"
     if engine.aligner is not None and engine.aligner.fixes:
         yield "the fixes do not tell where the drive started; poses are relative to its start"
 

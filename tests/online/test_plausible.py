@@ -39,7 +39,7 @@ def test_a_bad_value_is_rejected_by_name_and_changes_nothing(
             feed(hit, replace(packet, values=values, stamp_ns=packet.stamp_ns + 1))
     reason = "larger than possible" if np.isfinite(bad) else "not finite"
     assert hit.tally[sensor].rejected == {reason: 1}
-    assert f"1 measurements of {sensor} were rejected: {reason}" in list(notes(hit))
+    assert f"1 measurement of {sensor} rejected: {reason}" in list(notes(hit))
     np.testing.assert_array_equal(hit.propagation.state, clean.propagation.state)
 
 
