@@ -7,4 +7,7 @@ the residual r (d,) and the Jacobians ji, jj (d, B), jg (d, G), which arrive zer
 Jacobians are by the retraction x ⊕ d = x ∘ (d_x, d_y, d_theta), zeros additive. Kernels of one
 keyframe leave xj and jj alone. Where xj is a landmark it is two numbers, moved by adding, and jj
 is (d, 2); where xi and xj are calibration vectors both are moved by adding.
+
+The compiled loops in `tables.py` are cached by the date of that file: after editing a kernel, save
+`tables.py` again or delete `factors/__pycache__`.
 """
