@@ -23,7 +23,7 @@ import numpy.typing as npt
 from fgloc.core.compiled import compiled
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
-from fgloc.factors.tables import FactorTable, _evaluate, _whiten
+from fgloc.factors.tables import FactorTable, evaluate_kernel, whiten
 
 Ints = npt.NDArray[np.int64]
 
@@ -264,16 +264,16 @@ def _evaluate_rows(
             other, jj = landmarks[seen], np.zeros((d, 2))
         else:
             other, jj = xj, np.zeros((d, b))
-        _evaluate(kind, x, other, g, m, slot, r, ji, jj, jg)
+        evaluate_kernel(kind, x, other, g, m, slot, r, ji, jj, jg)
         s, scratch = data[root : root + d * d].reshape(d, d), np.empty(d)
-        _whiten(s, r.reshape(d, 1), scratch)
-        _whiten(s, ji, scratch)
+        whiten(s, r.reshape(d, 1), scratch)
+        whiten(s, ji, scratch)
         _turn(ji, x[2])
         if pairwise or seen >= 0:
-            _whiten(s, jj, scratch)
+            whiten(s, jj, scratch)
         if pairwise:
             _turn(jj, xj[2])
-        _whiten(s, jg, scratch)
+        whiten(s, jg, scratch)
         weight, total = np.sqrt(weights[k]), 0.0
         for a in range(d):
             total += r[a] * r[a]

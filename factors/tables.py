@@ -250,7 +250,7 @@ def residuals(
 
 
 @compiled
-def _evaluate(
+def evaluate_kernel(
     kind: int,
     xi: Floats,
     xj: Floats,
@@ -300,7 +300,7 @@ def _evaluate(
 
 
 @compiled
-def _whiten(s: Floats, values: Floats, scratch: Floats) -> None:
+def whiten(s: Floats, values: Floats, scratch: Floats) -> None:
     """Replace `values` (d, n) by s·values, using `scratch` of at least d entries."""
     d = s.shape[0]
     for col in range(values.shape[1]):
@@ -338,7 +338,7 @@ def _linearise(
     scratch = np.empty(residual.shape[1])
     for k in range(first.size):
         r = residual[k]
-        _evaluate(
+        evaluate_kernel(
             kind,
             states[first[k]],
             others[second[k]],
@@ -351,8 +351,8 @@ def _linearise(
             by_calibration[k],
         )
         s = sqrt_information[k]
-        _whiten(s, r.reshape(r.size, 1), scratch)
-        _whiten(s, by_first[k], scratch)
+        whiten(s, r.reshape(r.size, 1), scratch)
+        whiten(s, by_first[k], scratch)
         if joins:
-            _whiten(s, by_second[k], scratch)
-        _whiten(s, by_calibration[k], scratch)
+            whiten(s, by_second[k], scratch)
+        whiten(s, by_calibration[k], scratch)

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from fgloc.core.drive import Drive
+from fgloc.core.kinematics import Parameter
 from fgloc.core.measurements import Floats, Stamps
 from fgloc.core.trajectory import Trajectory
 
@@ -37,6 +38,32 @@ class CalibrationEstimate:
         return self.sigma < 0.5 * self.prior_sigma
 
 
+def calibration_of(
+    parameters: Sequence[Parameter], u: Floats, covariance: Floats | None
+) -> tuple[tuple[CalibrationEstimate, ...], Floats | None]:
+    """Return calibration variables and their (G, G) covariance in physical units.
+
+    `u` (G,) and `covariance` (G, G) are in solver variables; without one, sigmas are NaN.
+    """
+    sigma = np.full(len(parameters), np.nan)
+    if covariance is not None:
+        scale = np.array([p.derivative(float(v)) for p, v in zip(parameters, u, strict=True)])
+        covariance = np.asarray(covariance * np.outer(scale, scale))
+        sigma = np.sqrt(np.diag(covariance))
+    estimates = tuple(
+        CalibrationEstimate(
+            name=p.name,
+            nominal=p.nominal,
+            value=p.to_value(float(v)),
+            sigma=float(s),
+            prior_sigma=p.prior_sigma,
+            unit=p.unit,
+        )
+        for p, v, s in zip(parameters, u, sigma, strict=True)
+    )
+    return estimates, covariance
+
+
 @dataclass(frozen=True)
 class SensorResiduals:
     """Residuals of one sensor at the solution."""
@@ -53,6 +80,10 @@ class SensorResiduals:
     """(M, d) whitened residuals; standard normal if the noise model is right."""
     weights: Floats
     """(M,) robust weight of each measurement, 1 = fully believed."""
+
+
+DOWN_WEIGHTED = 0.25
+"""A factor whose robust weight is below this counts as down-weighted."""
 
 
 @dataclass(frozen=True)

@@ -113,6 +113,12 @@ def prior_correlation(parameters: Sequence[Parameter]) -> Floats:
     return np.asarray(matrix, dtype=np.float64)
 
 
+def prior_covariance(parameters: Sequence[Parameter]) -> Floats:
+    """Return the (P, P) prior covariance of parameters in the solver's variables."""
+    sigma = np.array([p.solver_sigma for p in parameters])
+    return prior_correlation(parameters) * np.outer(sigma, sigma)
+
+
 @dataclass(frozen=True)
 class WheeledBase:
     """A list of wheels and the calibration parameters that shape it."""

@@ -42,8 +42,9 @@ from fgloc.online.smoother import WindowSmoother
 from fgloc.online.streams import CameraStream, GyroStream, Stream, YawStream
 from fgloc.online.tally import Tally
 from fgloc.online.trust import Trust, Verdict
-from fgloc.online.window import HIDDEN, Window
+from fgloc.online.window import Window
 from fgloc.smoothing.initial import ORIGIN_SIGMA
+from fgloc.smoothing.problem import HIDDEN
 from fgloc.smoothing.sensors import FREE_HEADING, bias_sigma, fix_sigma
 
 

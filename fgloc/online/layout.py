@@ -17,6 +17,7 @@ from fgloc.core.measurements import (
     YawRate,
 )
 from fgloc.core.robot import Robot
+from fgloc.smoothing.problem import physical_values
 from fgloc.smoothing.sensors import Columns, camera_parameters, gyro_parameters, yaw_parameters
 
 
@@ -52,10 +53,7 @@ class Layout:
 
     def values(self, u: Floats) -> Floats:
         """Return the robot's physical parameter values at solver variables u (G,)."""
-        values = self.robot.base.nominal()
-        for k, index in enumerate(self.free):
-            values[index] = self.parameters[k].to_value(float(u[k]))
-        return values
+        return physical_values(self.robot, self.free, self.parameters, u)
 
 
 def make_layout(robot: Robot, sensors: Sequence[Sensor], reference: Reference | None) -> Layout:

@@ -8,9 +8,8 @@ import numpy as np
 
 from fgloc.core.drive import Drive
 from fgloc.core.geometry import compose
-from fgloc.core.measurements import Floats
 from fgloc.core.start import start_pose, trim_to_truth
-from fgloc.estimator import CalibrationEstimate, Result
+from fgloc.estimator import Result, calibration_of
 from fgloc.online.engine import OnlineEngine, Start
 from fgloc.online.session import ReplayOptions, Session
 from fgloc.online.settings import OnlineSettings
@@ -40,16 +39,20 @@ class OnlineSmoother:
         session.run()
         engine = session.engine
         engine.finish()
+        known, b = engine.smoother.posterior, engine.layout.width
+        calibration, covariance = calibration_of(
+            engine.layout.parameters, known.calibration, known.covariance[b:, b:]
+        )
         return Result(
             method=self.method,
             drive=drive.name,
             trajectory=session.track.trajectory(),
             sensors_used=tuple(name for name, t in engine.tally.items() if t.used),
-            calibration=_calibration(engine),
+            calibration=calibration,
             counts={name: t.count() for name, t in engine.tally.items()},
             notes=(*notes(engine), *session.notes),
             live=session.live,
-            calibration_covariance=_calibration_covariance(engine),
+            calibration_covariance=covariance,
         )
 
 
@@ -84,29 +87,3 @@ def start_of(drive: Drive) -> Start | None:
     base = start_pose(drive)
     mount = np.array(drive.truth.mount, dtype=np.float64)
     return Start(compose(base, mount), np.array(drive.truth.sigma), base, mount)
-
-
-def _calibration(engine: OnlineEngine) -> tuple[CalibrationEstimate, ...]:
-    """Return the calibration as it is known at the end."""
-    covariance = _calibration_covariance(engine)
-    u = engine.smoother.posterior.calibration
-    return tuple(
-        CalibrationEstimate(
-            name=p.name,
-            nominal=p.nominal,
-            value=p.to_value(float(u[k])),
-            sigma=float(np.sqrt(covariance[k, k])),
-            prior_sigma=p.prior_sigma,
-            unit=p.unit,
-        )
-        for k, p in enumerate(engine.layout.parameters)
-    )
-
-
-def _calibration_covariance(engine: OnlineEngine) -> Floats:
-    """Return the (G, G) covariance of the calibration in physical units."""
-    posterior, layout = engine.smoother.posterior, engine.layout
-    pairs = zip(layout.parameters, posterior.calibration, strict=True)
-    scale = np.array([p.derivative(float(u)) for p, u in pairs])
-    own = posterior.covariance[layout.width :, layout.width :]
-    return np.asarray(own * np.outer(scale, scale))

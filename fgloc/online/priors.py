@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fgloc.core.kinematics import prior_correlation
+from fgloc.core.kinematics import prior_covariance
 from fgloc.core.measurements import Floats
 from fgloc.factors.tables import FactorTable, Kind
 from fgloc.online.window import Window
+from fgloc.smoothing.arrow import triangle
 
 FLOOR = 1e-14
 """Smallest variance, beside those of the same window."""
@@ -52,11 +53,9 @@ def first_prior(window: Window, state: Floats, root: Floats) -> FactorTable:
     """Return the prior of a state (B,) with square-root information (B, B), robot at nominal."""
     layout = window.layout
     b, parameters = layout.width, layout.parameters
-    sigma = np.array([p.solver_sigma for p in parameters])
-    covariance = prior_correlation(parameters) * np.outer(sigma, sigma)
     whole = np.zeros((layout.size, layout.size))
     whole[:b, :b] = root
-    whole[b:, b:] = np.linalg.inv(np.linalg.cholesky(covariance))
+    whole[b:, b:] = np.linalg.inv(np.linalg.cholesky(prior_covariance(parameters)))
     return prior_table(state, np.zeros(len(parameters)), whole)
 
 
@@ -105,8 +104,7 @@ def after_walk(prior: FactorTable, width: int, walk: Floats) -> FactorTable:
     rows[free:, :free] = root[:, own]
     rows[free:, free:] = root
     rows[free:, free + b : free + b + free] = 0.0
-    triangle = np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
-    left = np.ascontiguousarray(triangle[free:, free:])
+    left = np.ascontiguousarray(triangle(rows)[free:, free:])
     return replace(prior, sqrt_information=left[None])
 
 

@@ -38,9 +38,9 @@ from fgloc.online.priors import (
     prior_table,
 )
 from fgloc.online.settings import OnlineSettings
-from fgloc.online.window import HIDDEN, Window
+from fgloc.online.window import Window
 from fgloc.smoothing.minimise import CalibrationPrior, Point, minimise
-from fgloc.smoothing.problem import FIXES, Problem
+from fgloc.smoothing.problem import FIXES, HIDDEN, Problem
 from fgloc.smoothing.sweep import starting_calibrations
 from fgloc.smoothing.trust import ARBITERS, STRAINED
 

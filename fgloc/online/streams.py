@@ -7,6 +7,7 @@ looked at again. Scalar code: a call costs microseconds.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from typing import Any
@@ -27,7 +28,7 @@ Touch = Callable[[int], None]
 """Told the last keyframe that every added row belongs to."""
 
 
-class Stream:
+class Stream(ABC):
     """Readings of one sensor, sorted by stamp, as far back as the window reaches."""
 
     def __init__(self, sensor: str, window: Window, touch: Touch) -> None:
@@ -54,9 +55,9 @@ class Stream:
         if self.stamps and self.stamps[-1] >= stamp:
             self.look(stamp, stamp)
 
+    @abstractmethod
     def look(self, begin_ns: int, end_ns: int) -> None:
         """Make the rows that readings between two stamps allow."""
-        raise NotImplementedError
 
     def prune(self, before_ns: int) -> None:
         """Forget readings that no keyframe of the window needs any more."""
@@ -90,7 +91,6 @@ class YawStream(Stream):
         self, sensor: Yaw, place: Place, loss: Loss, window: Window, touch: Touch, epoch_ns: int
     ) -> None:
         super().__init__(sensor.sensor, window, touch)
-        self.place = place
         self.epoch_ns = epoch_ns
         self.zero = float("nan")
         self.last_used = -1

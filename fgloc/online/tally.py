@@ -7,10 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fgloc.core.measurements import Floats
-from fgloc.estimator import SensorCount
-
-DOWN_WEIGHTED = 0.25
-"""A factor whose robust weight is below this counts as down-weighted."""
+from fgloc.estimator import DOWN_WEIGHTED, SensorCount
 
 
 @dataclass

@@ -15,14 +15,12 @@ from fgloc.factors.tables import FactorTable, Kind
 from fgloc.online.growing import GrowingArray
 from fgloc.online.layout import Layout
 from fgloc.online.live_table import LiveTable
-from fgloc.smoothing.problem import Problem
+from fgloc.smoothing.problem import HIDDEN, Problem
 
 WHEELS = "wheels"
 """Name under which the wheels' factors are counted."""
 REINTEGRATE = 0.01
 """Change of a calibration variable beyond which the wheels are integrated again."""
-HIDDEN = (Kind.ZERO_WALK, Kind.ZERO_PRIOR, Kind.STATE_PRIOR)
-"""Tables that are a sensor's model, not its measurements."""
 
 
 class Window:

@@ -309,7 +309,7 @@ def _marginals(r: Floats, b: int, sigma: Floats, out: Floats) -> None:
                 after[i, b + j] = after[b + j, i] = cross[i, b + j]
 
 
-def _triangle(rows: Floats) -> Floats:
+def triangle(rows: Floats) -> Floats:
     """Return the triangular factor of the rows' QR decomposition."""
     return np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
 
@@ -356,13 +356,13 @@ def eliminate(
         prior = np.concatenate([prior, np.append(diagonal, np.zeros((g, 1)), axis=1)])
     carry = np.zeros((b + g, b + g + 1))
     if g and prior.shape[0]:
-        triangle = _triangle(prior)[:g]
-        carry[: triangle.shape[0], b:] = triangle
+        rows = triangle(prior)[:g]
+        carry[: rows.shape[0], b:] = rows
     carries = np.empty((keyframes if with_carries else 0, b + g, b + g + 1))
     triangular = np.empty((keyframes, b, 2 * b + g + 1))
     if not _eliminate(system.rows, system.bounds, extra, b, g, carry, triangular, carries):
         return None
-    left = _triangle(carry[:, b:])[:g]
+    left = triangle(carry[:, b:])[:g]
     pivots = np.abs(np.diag(left))
     if g and not np.all(pivots > SINGULAR * np.abs(left[:, :g]).max()):
         return None

@@ -8,22 +8,17 @@ import numpy as np
 
 from fgloc.core.drive import Drive
 from fgloc.core.geometry import rotate_covariance
-from fgloc.core.measurements import Floats
 from fgloc.core.trajectory import Trajectory
 from fgloc.errors import FglocError
-from fgloc.estimator import CalibrationEstimate, Result, SensorCount, SensorResiduals
-from fgloc.factors.tables import COMPONENTS, Kind, residuals
+from fgloc.estimator import DOWN_WEIGHTED, Result, SensorCount, SensorResiduals, calibration_of
+from fgloc.factors.tables import COMPONENTS, residuals
 from fgloc.smoothing.optimise import Solution
-from fgloc.smoothing.problem import Problem
+from fgloc.smoothing.problem import HIDDEN, Problem
 from fgloc.smoothing.settings import Settings
 from fgloc.smoothing.trust import STRAINED, solve_with_trust, strain
 
-DOWN_WEIGHTED = 0.25
-"""A factor whose robust weight is below this counts as down-weighted."""
 AT_ODDS = 0.2
 """A larger share of down-weighted factors is worth a note: sensors contradict each other."""
-HIDDEN = (Kind.ZERO_WALK, Kind.ZERO_PRIOR)
-"""Tables that are a sensor's model, not its measurements."""
 
 
 class BatchSmoother:
@@ -85,17 +80,20 @@ def _result(
                 f"{c.down_weighted} of {c.accepted + c.down_weighted} factors of {name} were given "
                 "up because the others contradict them; which of them is right, only fixes tell"
             )
+    calibration, calibration_covariance = calibration_of(
+        problem.parameters, solution.point.u, solution.calibration_covariance
+    )
     return Result(
         method=method,
         drive=drive.name,
         trajectory=Trajectory(problem.keyframes_ns, poses, covariances),
         sensors_used=used,
-        calibration=_calibration(problem, solution),
+        calibration=calibration,
         residuals=_residuals(problem, solution),
         counts={**counts, **unused},
         convergence=_convergence(solution),
         notes=tuple(notes),
-        calibration_covariance=_calibration_covariance(problem, solution),
+        calibration_covariance=calibration_covariance,
     )
 
 
@@ -107,34 +105,6 @@ def _convergence(solution: Solution) -> str:
     if solution.next_step is not None:
         text += f", the next step is {solution.next_step:.1g} sigma at most"
     return text
-
-
-def _calibration(problem: Problem, solution: Solution) -> tuple[CalibrationEstimate, ...]:
-    """Return all calibration variables in physical units."""
-    sigma = np.full(len(problem.parameters), np.nan)
-    covariance = _calibration_covariance(problem, solution)
-    if covariance is not None:
-        sigma = np.sqrt(np.diag(covariance))
-    return tuple(
-        CalibrationEstimate(
-            name=p.name,
-            nominal=p.nominal,
-            value=p.to_value(float(u)),
-            sigma=float(s),
-            prior_sigma=p.prior_sigma,
-            unit=p.unit,
-        )
-        for p, u, s in zip(problem.parameters, solution.point.u, sigma, strict=True)
-    )
-
-
-def _calibration_covariance(problem: Problem, solution: Solution) -> Floats | None:
-    """Return the (G, G) covariance of the calibration in physical units; None if not computed."""
-    if solution.calibration_covariance is None:
-        return None
-    pairs = zip(problem.parameters, solution.point.u, strict=True)
-    scale = np.array([p.derivative(float(u)) for p, u in pairs])
-    return np.asarray(solution.calibration_covariance * np.outer(scale, scale))
 
 
 def _residuals(problem: Problem, solution: Solution) -> tuple[SensorResiduals, ...]:

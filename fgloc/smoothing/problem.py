@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fgloc.core.compiled import compiled
 from fgloc.core.geometry import rotate_covariance
-from fgloc.core.kinematics import Parameter, prior_correlation
+from fgloc.core.kinematics import Parameter, prior_covariance
 from fgloc.core.measurements import Floats, Stamps
 from fgloc.core.preintegration import Preintegrated, SplitIncrements, preintegrate
 from fgloc.core.robot import Robot
@@ -17,6 +18,21 @@ from fgloc.factors.tables import FactorTable, Kind
 
 FIXES = (Kind.POSITION_FIX, Kind.POSE_FIX)
 """Factors that tell where the robot is in the map."""
+HIDDEN = (Kind.ZERO_WALK, Kind.ZERO_PRIOR, Kind.STATE_PRIOR)
+"""Tables that are a sensor's model or a prior, not measurements."""
+
+
+def physical_values(
+    robot: Robot, free: Sequence[int], parameters: Sequence[Parameter], u: Floats
+) -> Floats:
+    """Return a robot's physical parameter values (P,) at solver variables u (G,).
+
+    `free` are the indices of its parameters that are variables, the first of `parameters`.
+    """
+    values = robot.base.nominal()
+    for k, index in enumerate(free):
+        values[index] = parameters[k].to_value(float(u[k]))
+    return values
 
 
 @dataclass(frozen=True)
@@ -50,16 +66,12 @@ class Problem:
 
     def values(self, u: Floats) -> Floats:
         """Return the robot's physical parameter values at solver variables u (G,)."""
-        values = self.robot.base.nominal()
-        for k, index in enumerate(self.free):
-            values[index] = self.parameters[k].to_value(float(u[k]))
-        return values
+        return physical_values(self.robot, self.free, self.parameters, u)
 
     @property
     def prior_covariance(self) -> Floats:
         """Return the (G, G) covariance of the calibration prior in solver variables."""
-        sigma = np.array([p.solver_sigma for p in self.parameters])
-        return prior_correlation(self.parameters) * np.outer(sigma, sigma)
+        return prior_covariance(self.parameters)
 
     def fix_keyframes(self) -> Stamps:
         """Return the sorted keyframe indices that have an absolute fix, the start included."""

@@ -13,7 +13,7 @@ from fgloc.online.engine import OnlineEngine
 from fgloc.online.online import start_of
 from fgloc.online.replay import Packet
 from fgloc.online.settings import OnlineSettings
-from fgloc.online.window import HIDDEN
+from fgloc.smoothing.problem import HIDDEN
 
 
 def engine_for(drive: Drive, settings: OnlineSettings | None = None) -> OnlineEngine:

@@ -17,9 +17,9 @@ from fgloc.factors.tables import Kind
 from fgloc.online.online import OnlineSmoother
 from fgloc.online.replay import packets
 from fgloc.online.settings import OnlineSettings
-from fgloc.online.window import HIDDEN
 from fgloc.smoothing.batch import BatchSmoother
 from fgloc.smoothing.build import build_problem
+from fgloc.smoothing.problem import HIDDEN
 
 from .driving import engine_for, run
 
