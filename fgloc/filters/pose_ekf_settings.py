@@ -1,0 +1,65 @@
+"""What a user may set about the pose EKF, and what a tuner may fit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from fgloc.errors import FglocError
+
+
+@dataclass(frozen=True)
+class PoseEkfSettings:
+    """Typed settings of the pose EKF; every factor multiplies a standard deviation."""
+
+    process_noise: float = 1.0
+    """Factor on all of the wheels' noise, the filter's Q: slip and calibration."""
+    calibration: float = 1.0
+    """Factor on the priors of radii, track and the like, which are part of Q; 0 takes the nominal
+    robot to be exact."""
+    camera_position: float = 1.0
+    """Factor on the camera's position noise."""
+    camera_heading: float = 1.0
+    """Factor on the camera's heading noise."""
+    camera_growth: float = 1.0
+    """Factor on what makes the camera's noise grow: its random walk, mounting and scale. 0 takes
+    every camera pose to be as exact as the first, which is what a constant covariance says."""
+    yaw: float = 1.0
+    """Factor on the noise of a yaw reading."""
+    yaw_drift: float = 1.0
+    """Factor on the random walk of the yaw's zero."""
+    gyro: float = 1.0
+    """Factor on the gyro's noise, bias included."""
+    fix: float = 1.0
+    """Factor on the noise of position and pose fixes."""
+    horizon_s: float = 10.0
+    """Calibration, gyro bias and steady yaw drift are wrong the same way for long and are not
+    estimated. The filter is told of them as white noise that adds up to the same in this time [s]."""
+    camera_gate: float = 5.0
+    """A camera pose further off than so many standard deviations (Mahalanobis distance of three
+    numbers) is rejected; inf takes all."""
+    yaw_gate: float = 5.0
+    """The same for a yaw reading."""
+    gyro_gate: float = math.inf
+    """The same for the angle that a gyro turned between two moments, against the wheels. By default
+    none is rejected: where the two differ by that much, it is the wheels that slip."""
+    fix_gate: float = 5.0
+    """The same for a position or pose fix."""
+    patience_s: float = 1.0
+    """A sensor that has been rejected for so long [s] is believed after all: the covariance of the
+    state is multiplied until the reading fits, and the reading is used."""
+    patience_count: int = 3
+    """But not before so many readings in a row were rejected."""
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            gate = f.name.endswith("_gate") or f.name == "patience_s"
+            lowest = 0.0 if f.name in ("calibration", "camera_growth", "yaw_drift", "horizon_s") else None
+            fine = value > 0.0 if lowest is None else value >= lowest
+            if not fine or (math.isinf(value) and not gate):
+                raise FglocError(
+                    f"pose-ekf: {f.name} must be positive"
+                    f"{' (or inf)' if gate else ' and finite' if lowest is None else ' or 0'}, "
+                    f"got {value!r}"
+                )
