@@ -2,7 +2,8 @@
 
 For a state x (n,) with covariance P (n, n) and a measurement with innovation v (d,), Jacobian H
 (d, n) and noise R (d, d): S = H P Hᵀ + R, K = P Hᵀ S⁻¹, x ← x + K v, and in Joseph's form
-P ← (I − K H) P (I − K H)ᵀ + K R Kᵀ, which stays symmetric and positive definite whatever is rounded.
+P ← (I − K H) P (I − K H)ᵀ + K R Kᵀ, which stays symmetric and positive definite, whatever is
+rounded and whatever the gain.
 """
 
 from __future__ import annotations

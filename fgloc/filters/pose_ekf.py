@@ -195,9 +195,7 @@ class _Run:
         """Return what a user should know of this run."""
         notes = [f"{g.sensor}: the bias is not estimated, as in seed D" for g in self.events.gyros]
         for k, stream in enumerate(self.events.streams):
-            again = int(
-                np.count_nonzero(self._status[self.events.stream_of == k] == RECOVERED)
-            )
+            again = int(np.count_nonzero(self._status[self.events.stream_of == k] == RECOVERED))
             if again:
                 notes.append(
                     f"{stream.sensor.sensor} was rejected for so long that it was believed again "

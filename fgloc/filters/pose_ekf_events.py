@@ -154,7 +154,7 @@ def _stream(
         return Stream(sensor, YAW, stamps, values, noises, lever, gate**2, walk)
     if isinstance(sensor, CameraPoses):
         if stamps.size:
-            values, noises = _camera(sensor, sensor.poses[inside], settings)
+            values, noises = _camera(sensor, stamps, sensor.poses[inside], settings)
         noises += np.diag([along**2, along**2, turn**2])
         gate = settings.camera_gate**2
         return Stream(sensor, CAMERA, stamps, values, noises, np.zeros(3), gate)
@@ -178,20 +178,24 @@ def _stream(
 
 
 def _camera(
-    sensor: CameraPoses, poses: Floats, settings: PoseEkfSettings
+    sensor: CameraPoses, stamps: Stamps, poses: Floats, settings: PoseEkfSettings
 ) -> tuple[Floats, Floats]:
     """Return the base's poses (M, 3) since the camera's first, by the nominal mount, and their R.
 
-    What is uncertain of a camera pose: its white noise, its random walk since the beginning, and
-    what mounting and scale may be off by, to first order. With the camera's displacement D = (d, δ)
-    since its first pose and the mount (m, ψ), the base has moved by m + R(ψ) d − R(δ) m.
+    `stamps` (M,) and `poses` (M, 3) are those inside the drive, at least one. What is uncertain of
+    a camera pose: its white noise, its random walk since the beginning, and what mounting and scale
+    may be off by, to first order. With the camera's displacement D = (d, δ) since its first pose
+    and the mount (m, ψ), the base has moved by m + R(ψ) d − R(δ) m. Walk, mounting and scale are
+    wrong the same way in one pose after the other, while the filter takes poses to be independent;
+    so these parts count horizon / period times.
     """
     mount = np.array(sensor.mount)
     moved = between(poses[0], poses)
     base = compose(compose(mount, moved), inverse(mount))
     seen = compose(np.array([0.0, 0.0, mount[2]]), moved)[:, :2]
     path = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
-    growth = settings.camera_growth**2
+    period = float(np.median(np.diff(stamps))) * 1e-9 if stamps.size > 1 else settings.horizon_s
+    growth = settings.camera_growth**2 * max(settings.horizon_s / period, 1.0)
     c, s = np.cos(moved[:, 2]), np.sin(moved[:, 2])
     # d base / d (m_x, m_y, psi, scale), rows x and y.
     jacobian = np.empty((path.size, 2, 4))

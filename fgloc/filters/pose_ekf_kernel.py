@@ -58,7 +58,7 @@ def predict(x: Floats, p: Floats, step: Floats, q: Floats) -> None:
 def fuse_turn(step: Floats, q: Floats, innovation: float, r: float, rounding: float) -> None:
     """Correct a displacement (3,) and its covariance `q` by a gyro's turn, in place.
 
-    `innovation` is gyro minus wheels [rad], `r` its variance. The rounding of the counts [rad] makes
+    `innovation` is gyro minus wheels [rad], `r` its variance. The rounding of counts [rad] makes
     the gain trust the gyro more but is no part of `q`: the next increment takes it back.
     """
     total = q[2, 2] + 2.0 * rounding * rounding + r

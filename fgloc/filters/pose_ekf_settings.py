@@ -7,6 +7,9 @@ from dataclasses import dataclass, fields
 
 from fgloc.errors import FglocError
 
+MAY_BE_ZERO = ("calibration", "camera_growth", "yaw_drift", "horizon_s", "patience_s")
+"""Settings that may be switched off; all others must be positive."""
+
 
 @dataclass(frozen=True)
 class PoseEkfSettings:
@@ -22,8 +25,8 @@ class PoseEkfSettings:
     camera_heading: float = 1.0
     """Factor on the camera's heading noise."""
     camera_growth: float = 1.0
-    """Factor on what makes the camera's noise grow: its random walk, mounting and scale. 0 takes
-    every camera pose to be as exact as the first, which is what a constant covariance says."""
+    """Factor on what makes the camera's noise grow with its way: random walk, mounting and scale. 0
+    takes every pose to be as exact as the first, which is what a constant covariance says."""
     yaw: float = 1.0
     """Factor on the noise of a yaw reading."""
     yaw_drift: float = 1.0
@@ -33,8 +36,9 @@ class PoseEkfSettings:
     fix: float = 1.0
     """Factor on the noise of position and pose fixes."""
     horizon_s: float = 10.0
-    """Calibration, gyro bias and steady yaw drift are wrong the same way for long and are not
-    estimated. The filter is told of them as white noise that adds up to the same in this time [s]."""
+    """What is wrong the same way for long (calibration, gyro bias, steady yaw drift, the camera's
+    walk, mounting and scale) is not estimated. The filter is told of it as white noise that adds up
+    to the same in this time [s]."""
     camera_gate: float = 5.0
     """A camera pose further off than so many standard deviations (Mahalanobis distance of three
     numbers) is rejected; inf takes all."""
@@ -54,12 +58,10 @@ class PoseEkfSettings:
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
-            gate = f.name.endswith("_gate") or f.name == "patience_s"
-            lowest = 0.0 if f.name in ("calibration", "camera_growth", "yaw_drift", "horizon_s") else None
-            fine = value > 0.0 if lowest is None else value >= lowest
-            if not fine or (math.isinf(value) and not gate):
-                raise FglocError(
-                    f"pose-ekf: {f.name} must be positive"
-                    f"{' (or inf)' if gate else ' and finite' if lowest is None else ' or 0'}, "
-                    f"got {value!r}"
-                )
+            endless = f.name.endswith("_gate") or f.name == "patience_s"
+            if not (value > 0.0 or (value == 0.0 and f.name in MAY_BE_ZERO)) or (
+                math.isinf(value) and not endless
+            ):
+                lowest = "not negative" if f.name in MAY_BE_ZERO else "positive"
+                limit = "" if endless else " and finite"
+                raise FglocError(f"pose-ekf: {f.name} must be {lowest}{limit}, got {value!r}")
