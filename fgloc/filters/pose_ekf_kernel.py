@@ -81,6 +81,8 @@ def fuse_turn(step: Floats, q: Floats, innovation: float, r: float, rounding: fl
 
 @compiled
 def run_filter(
+    begin: int,
+    end: int,
     cuts_ns: Stamps,
     steps: Floats,
     step_covariances: Floats,
@@ -92,6 +94,7 @@ def run_filter(
     noises: Floats,
     levers: Floats,
     gates: Floats,
+    listening: Codes,
     zero_of: Codes,
     zero_walk: Floats,
     turns: Floats,
@@ -101,6 +104,8 @@ def run_filter(
     patience: Codes,
     x: Floats,
     p: Floats,
+    anchors: Floats,
+    memory: Codes,
     poses: Floats,
     covariances: Floats,
     status: Codes,
@@ -109,21 +114,20 @@ def run_filter(
     turn_status: Codes,
     turn_innovations: Floats,
 ) -> None:
-    """Filter a drive; see `fgloc.filters.pose_ekf_events` for the arrays. O(C + E).
+    """Filter the cuts from `begin` up to, not including, `end`; O(C + E).
 
-    x (n,) and p (n, n) begin as the start's and end as the last state; the outputs are `poses`
-    and `covariances` at the wheel stamps and what became of every event and turned angle.
+    See `fgloc.filters.pose_ekf_events` for the arrays that describe a drive. The state is in
+    x (n,), p (n, n), the poses (S, 3) at which cameras began and `memory` (S, 3): whether a stream
+    has its reference, rejections in a row, stamp of the first of them. What comes out are poses and
+    covariances at the wheel stamps and what became of every event and turned angle. Of streams
+    that are not listened to (`listening` 0) only innovations are written.
     """
     n = x.size
     h, s, white = np.zeros((3, n)), np.zeros((3, 3)), np.zeros(3)
     gain, left, work = np.zeros((n, 3)), np.zeros((n, n)), np.zeros((n, n))
     r, v, z = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
     step, q = np.zeros(3), np.zeros((3, 3))
-    anchors = np.zeros((levers.shape[0], 3))
-    anchored = np.zeros(levers.shape[0], dtype=np.bool_)
-    misses = np.zeros(levers.shape[0], dtype=np.int64)
-    missing_since = np.zeros(levers.shape[0], dtype=np.int64)
-    for cut in range(cuts_ns.size):
+    for cut in range(begin, end):
         if cut > 0:
             for i in range(3):
                 step[i] = steps[cut - 1, i]
@@ -147,9 +151,9 @@ def run_filter(
             kind, stream = kinds[e], streams[e]
             d = DIMENSION[kind]
             zero = zero_of[stream]
-            if kind == YAW and not anchored[stream]:
+            if kind == YAW and memory[stream, 0] == 0:
                 # The first reading tells the zero and nothing of the heading.
-                anchored[stream] = True
+                memory[stream, 0] = 1
                 status[e] = REFERENCE
                 x[zero] = values[e, 0] - x[2]
                 for j in range(n):
@@ -158,8 +162,8 @@ def run_filter(
                         p[j, zero] = -p[2, j]
                 p[zero, zero] = p[2, 2] + noises[e, 0, 0]
                 continue
-            if kind == CAMERA and not anchored[stream]:
-                anchored[stream] = True
+            if kind == CAMERA and memory[stream, 0] == 0:
+                memory[stream, 0] = 1
                 status[e] = REFERENCE
                 for i in range(3):
                     anchors[stream, i] = x[i]
@@ -192,13 +196,15 @@ def run_filter(
             for i in range(d):
                 innovations[e, i] = v[i]
                 whitened[e, i] = white[i]
+            if listening[stream] == 0:
+                continue
             verdict = ACCEPTED
             if not squared <= gates[stream]:
-                if misses[stream] == 0:
-                    missing_since[stream] = cuts_ns[cut]
-                misses[stream] += 1
-                waited = cuts_ns[cut] - missing_since[stream]
-                if misses[stream] < patience[0] or waited < patience[1]:
+                if memory[stream, 1] == 0:
+                    memory[stream, 2] = cuts_ns[cut]
+                memory[stream, 1] += 1
+                waited = cuts_ns[cut] - memory[stream, 2]
+                if memory[stream, 1] < patience[0] or waited < patience[1]:
                     status[e] = REJECTED
                     continue
                 # It says so for long: the state must be less sure than it claims.
@@ -210,7 +216,7 @@ def run_filter(
             if not np.isfinite(squared):
                 status[e] = REJECTED
                 continue
-            misses[stream] = 0
+            memory[stream, 1] = 0
             status[e] = verdict
             correct(x, p, h, r, v, d, s, gain, left, work)
         k = emit[cut]
