@@ -16,6 +16,8 @@ from fgloc.filters.pose_ekf_settings import PoseEkfSettings
 
 ORIGIN_SIGMA = 1e-4
 """Sigma [m, rad] of a start that defines the map frame itself."""
+FARTHEST = 1e9
+"""No robot gets as far as this [m, rad]; beyond it doubles no longer know millimetres."""
 
 
 class PoseEkf:
@@ -47,7 +49,7 @@ class PoseEkf:
         sigma = np.full(3, ORIGIN_SIGMA) if drive.truth is None else np.array(drive.truth.sigma)
         run = Run(merge(trimmed, self.settings), self.settings, start_pose(trimmed), sigma)
         notes = run.filter() if drive.truth is not None else run.filter_from_nowhere()
-        if not (np.isfinite(run.poses).all() and np.isfinite(run.covariances).all()):
+        if not (np.abs(run.poses) < FARTHEST).all() or not np.isfinite(run.covariances).all():
             raise FglocError(
                 f"{drive.name} cannot be filtered: a measurement or a sigma is off by orders of "
                 "magnitude; look for leaps in the data and for sigmas near zero"

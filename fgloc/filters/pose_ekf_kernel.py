@@ -18,6 +18,8 @@ REJECTED, ACCEPTED, REFERENCE, RECOVERED = range(4)
 """What became of it; REFERENCE: set the zero of its own frame, RECOVERED: accepted after all."""
 DIMENSION = np.array([3, 3, 2, 1])
 """Numbers in an event of each kind."""
+DOUBT = 0.5
+"""Largest sigma of a heading [rad] that rejected readings lead to."""
 
 
 @compiled
@@ -90,6 +92,7 @@ def run_filter(
     first: Codes,
     kinds: Codes,
     streams: Codes,
+    begins: Codes,
     values: Floats,
     noises: Floats,
     levers: Floats,
@@ -97,6 +100,7 @@ def run_filter(
     listening: Codes,
     zero_of: Codes,
     zero_walk: Floats,
+    lasting: Floats,
     turns: Floats,
     turn_variances: Floats,
     turn_gates: Floats,
@@ -105,6 +109,7 @@ def run_filter(
     x: Floats,
     p: Floats,
     anchors: Floats,
+    anchor_covariances: Floats,
     memory: Codes,
     poses: Floats,
     covariances: Floats,
@@ -117,8 +122,8 @@ def run_filter(
     """Filter the cuts from `begin` up to, not including, `end`; O(C + E).
 
     See `fgloc.filters.pose_ekf_events` for the arrays that describe a drive. The state is in
-    x (n,), p (n, n), the poses (S, 3) at which cameras began and `memory` (S, 3): whether a stream
-    has its reference, rejections in a row, stamp of the first of them. What comes out are poses and
+    x (n,), p (n, n), the poses (S, 3) and covariances (S, 3, 3) at which cameras began and `memory`
+    (S, 2): rejections in a row, stamp of the first of them. What comes out are poses and
     covariances at the wheel stamps and what became of every event and turned angle. Of streams
     that are not listened to (`listening` 0) only innovations are written.
     """
@@ -151,10 +156,10 @@ def run_filter(
             kind, stream = kinds[e], streams[e]
             d = DIMENSION[kind]
             zero = zero_of[stream]
-            if kind == YAW and memory[stream, 0] == 0:
-                # The first reading tells the zero and nothing of the heading.
-                memory[stream, 0] = 1
+            if kind == YAW and begins[e] == 1:
+                # Such a reading tells the zero and nothing of the heading.
                 status[e] = REFERENCE
+                memory[stream, 0] = 0
                 x[zero] = values[e, 0] - x[2]
                 for j in range(n):
                     if j != zero:
@@ -162,11 +167,13 @@ def run_filter(
                         p[j, zero] = -p[2, j]
                 p[zero, zero] = p[2, 2] + noises[e, 0, 0]
                 continue
-            if kind == CAMERA and memory[stream, 0] == 0:
-                memory[stream, 0] = 1
+            if kind == CAMERA and begins[e] == 1:
                 status[e] = REFERENCE
+                memory[stream, 0] = 0
                 for i in range(3):
                     anchors[stream, i] = x[i]
+                    for j in range(3):
+                        anchor_covariances[stream, i, j] = p[i, j]
                 continue
             h[:] = 0.0
             for i in range(d):
@@ -182,6 +189,7 @@ def run_filter(
                 if kind == CAMERA:
                     compose_scalar(anchors[stream], z, z)
                     _turn_noise(r, anchors[stream, 2])
+                    _add_anchor(r, anchors[stream], anchor_covariances[stream], z, lasting[stream])
                 c, sn = np.cos(x[2]), np.sin(x[2])
                 lx, ly = levers[stream, 0], levers[stream, 1]
                 ox, oy = c * lx - sn * ly, sn * lx + c * ly
@@ -200,23 +208,21 @@ def run_filter(
                 continue
             verdict = ACCEPTED
             if not squared <= gates[stream]:
-                if memory[stream, 1] == 0:
-                    memory[stream, 2] = cuts_ns[cut]
-                memory[stream, 1] += 1
-                waited = cuts_ns[cut] - memory[stream, 2]
-                if memory[stream, 1] < patience[0] or waited < patience[1]:
+                if memory[stream, 0] == 0:
+                    memory[stream, 1] = cuts_ns[cut]
+                memory[stream, 0] += 1
+                waited = cuts_ns[cut] - memory[stream, 1]
+                if memory[stream, 0] < patience[0] or waited < patience[1]:
                     status[e] = REJECTED
                     continue
                 # It says so for long: the state must be less sure than it claims.
-                for i in range(n):
-                    for j in range(n):
-                        p[i, j] *= max(1.0, squared / d)
+                _doubt(p, squared / d)
                 squared = whiten(p, h, r, v, d, s, white)
                 verdict = RECOVERED
             if not np.isfinite(squared):
                 status[e] = REJECTED
                 continue
-            memory[stream, 1] = 0
+            memory[stream, 0] = 0
             status[e] = verdict
             correct(x, p, h, r, v, d, s, gain, left, work)
         k = emit[cut]
@@ -235,6 +241,22 @@ def run_filter(
 
 
 @compiled
+def _doubt(p: Floats, factor: float) -> None:
+    """Multiply a covariance by `factor` in place, but no heading's sigma to more than DOUBT.
+
+    A linear filter can do nothing with a heading that is not known at all.
+    """
+    n = p.shape[0]
+    for k in range(n):
+        scale = np.sqrt(max(factor, 1.0))
+        if k >= 2 and p[k, k] > 0.0:
+            scale = min(scale, max(DOUBT / np.sqrt(p[k, k]), 1.0))
+        for j in range(n):
+            p[k, j] *= scale
+            p[j, k] *= scale
+
+
+@compiled
 def _turn_noise(r: Floats, angle: float) -> None:
     """Turn a covariance (3, 3) of x, y, heading by `angle`, in place."""
     c, s = np.cos(angle), np.sin(angle)
@@ -244,4 +266,23 @@ def _turn_noise(r: Floats, angle: float) -> None:
     r[0, 1] = c * s * (xx - yy) + (c * c - s * s) * xy
     r[0, 2] = c * xt - s * yt
     r[1, 2] = s * xt + c * yt
+    r[1, 0], r[2, 0], r[2, 1] = r[0, 1], r[0, 2], r[1, 2]
+
+
+@compiled
+def _add_anchor(r: Floats, anchor: Floats, covariance: Floats, z: Floats, factor: float) -> None:
+    """Add to `r` what is not known of the pose at which a camera began, `factor` times.
+
+    An error of that pose turns and shifts all that the camera says, so z is wrong by A e with
+    A = (1, 0, -Δy; 0, 1, Δx; 0, 0, 1).
+    """
+    dx, dy = z[0] - anchor[0], z[1] - anchor[1]
+    xx, xy, yy = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+    xt, yt, tt = covariance[0, 2], covariance[1, 2], covariance[2, 2]
+    r[0, 0] += factor * (xx - 2.0 * dy * xt + dy * dy * tt)
+    r[1, 1] += factor * (yy + 2.0 * dx * yt + dx * dx * tt)
+    r[0, 1] += factor * (xy + dx * xt - dy * yt - dx * dy * tt)
+    r[0, 2] += factor * (xt - dy * tt)
+    r[1, 2] += factor * (yt + dx * tt)
+    r[2, 2] += factor * tt
     r[1, 0], r[2, 0], r[2, 1] = r[0, 1], r[0, 2], r[1, 2]

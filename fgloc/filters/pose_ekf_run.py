@@ -54,6 +54,7 @@ class Run:
         self._kinds = kinds[events.stream_of]
         self._values = _joined([s.values for s in streams], (3,))[order]
         self._noises = _joined([s.noises for s in streams], (3, 3))[order]
+        self._begins = np.concatenate([np.zeros(0, np.int64), *(s.begins for s in streams)])[order]
         self._levers = _joined([s.lever[None] for s in streams], (3,))
         self._yaws = [k for k, s in enumerate(streams) if s.kind == YAW]
         self._absolute = np.isin(kinds, (POSE, POSITION))
@@ -157,6 +158,12 @@ class Run:
         """Return what a user should know of this run."""
         notes = [f"{g.sensor}: the bias is not estimated, as in seed D" for g in self.events.gyros]
         for k, stream in enumerate(self.events.streams):
+            leaps = int(stream.begins.sum()) - 1
+            if leaps > 0:
+                notes.append(
+                    f"{stream.sensor.sensor} leapt {leaps} time{'s' if leaps > 1 else ''}: its "
+                    "frame was aligned anew"
+                )
             mine = self._status[self.events.stream_of == k]
             again = int(np.count_nonzero(mine == RECOVERED))
             if again:
@@ -173,7 +180,8 @@ class Run:
         self._x[:3] = self._start
         self._p[np.arange(3), np.arange(3)] = self._sigma**2
         self._anchors = np.zeros((len(self.events.streams), 3))
-        self._memory = np.zeros((len(self.events.streams), 3), dtype=np.int64)
+        self._anchor_covariances = np.zeros((len(self.events.streams), 3, 3))
+        self._memory = np.zeros((len(self.events.streams), 2), dtype=np.int64)
 
     def _run(self, begin: int, end: int, *, fixes: bool) -> None:
         """Filter a part of the cuts, with or without listening to fixes."""
@@ -191,6 +199,7 @@ class Run:
             events.first,
             self._kinds,
             events.stream_of,
+            self._begins,
             self._values,
             self._noises,
             self._levers,
@@ -198,6 +207,7 @@ class Run:
             (fixes | ~self._absolute).astype(np.int64),
             zero_of,
             np.array([streams[k].zero_walk for k in self._yaws], dtype=np.float64),
+            np.array([s.lasting for s in streams], dtype=np.float64),
             events.turns,
             events.turn_variances,
             np.full(len(events.gyros), settings.gyro_gate**2),
@@ -206,6 +216,7 @@ class Run:
             self._x,
             self._p,
             self._anchors,
+            self._anchor_covariances,
             self._memory,
             self.poses,
             self.covariances,
@@ -251,6 +262,7 @@ class Run:
         turn = np.eye(self._x.size)
         turn[:2, :2] = [[c, -s], [s, c]]
         self._p[:] = turn @ self._p @ turn.T
+        self._anchor_covariances[:] = turn[:3, :3] @ self._anchor_covariances @ turn[:3, :3].T
         # A heading in the map and a yaw's zero are wrong by the same angle, with opposite sign.
         angle = np.zeros(self._x.size)
         angle[2], angle[3:] = 1.0, -1.0

@@ -9,6 +9,8 @@ from fgloc.errors import FglocError
 
 MAY_BE_ZERO = ("calibration", "camera_growth", "yaw_drift", "horizon_s", "patience_s")
 """Settings that may be switched off; all others must be positive."""
+MAY_BE_ENDLESS = ("leap_m", "leap_rad", "patience_s")
+"""Settings that may be infinite, beside the gates."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,11 @@ class PoseEkfSettings:
     none is rejected: where the two differ by that much, it is the wheels that slip."""
     fix_gate: float = 5.0
     """The same for a position or pose fix."""
+    leap_m: float = 0.3
+    """A camera that moves by so much more or less than the wheels [m] from one pose to the next, or
+    turns by `leap_rad`, has lost its frame: that is aligned anew with the filter's state."""
+    leap_rad: float = 0.3
+    """The same turn [rad]; also of a yaw reading, whose zero is then new."""
     patience_s: float = 1.0
     """A sensor that has been rejected for so long [s] is believed after all: the covariance of the
     state is multiplied until the reading fits, and the reading is used."""
@@ -58,7 +65,7 @@ class PoseEkfSettings:
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
-            endless = f.name.endswith("_gate") or f.name == "patience_s"
+            endless = f.name.endswith("_gate") or f.name in MAY_BE_ENDLESS
             if not (value > 0.0 or (value == 0.0 and f.name in MAY_BE_ZERO)) or (
                 math.isinf(value) and not endless
             ):

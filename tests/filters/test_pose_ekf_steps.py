@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -38,7 +39,7 @@ def ns(seconds: Floats | list[float]) -> Stamps:
     return np.round(np.asarray(seconds) * 1e9).astype(np.int64)
 
 
-def jacobian(function, x: Floats) -> Floats:  # type: ignore[no-untyped-def]
+def jacobian(function: Callable[[Floats], Floats], x: Floats) -> Floats:
     """Return d function / d x by complex steps: finite differences without their rounding."""
     steps = 1e-30j * np.eye(x.size)
     return np.stack([function(x + h).imag / 1e-30 for h in steps], axis=-1)
@@ -124,7 +125,9 @@ def test_a_whole_drive_equals_filterpy() -> None:
     )
     result = PoseEkf(settings).estimate(drive)
 
-    cuts = np.unique(np.concatenate([drive.wheels.stamps_ns, *(s.stamps_ns for s in drive.sensors)]))
+    cuts = np.unique(
+        np.concatenate([drive.wheels.stamps_ns, *(s.stamps_ns for s in drive.sensors)])
+    )
     moved = preintegrate(split_at(drive.wheels, cuts), drive.robot)
     ekf = ExtendedKalmanFilter(4, 3)
     ekf.x, ekf.P = np.zeros(4), np.diag([0.04, 0.09, 0.01, 0.0])
@@ -133,7 +136,7 @@ def test_a_whole_drive_equals_filterpy() -> None:
     def sensor_at(x: Floats, mount: Floats) -> Floats:
         return compose(x[:3], mount)
 
-    def apply(z: Floats, h, r: Floats, angle: int | None) -> None:  # type: ignore[no-untyped-def]
+    def apply(z: Floats, h: Callable[[Floats], Floats], r: Floats, angle: int | None) -> None:
         def residual(a: Floats, b: Floats) -> Floats:
             out = a - b
             if angle is not None:
@@ -151,7 +154,8 @@ def test_a_whole_drive_equals_filterpy() -> None:
                 return np.concatenate([compose(x[:3], by), x[3:]])
 
             a = jacobian(move, ekf.x)
-            g = jacobian(lambda by, x=ekf.x.copy(): move(x, by), step)
+            before = ekf.x.copy()
+            g = jacobian(lambda by, x=before: move(x, by), step)
             ekf.x = move(ekf.x)
             ekf.P = a @ ekf.P @ a.T + g @ q @ g.T
             ekf.P[3, 3] += 0.05**2 * (cut - cuts[k - 1]) * 1e-9
@@ -219,8 +223,8 @@ def test_one_step_and_one_fix_by_hand() -> None:
 
 def test_a_gyro_between_wheel_packets_by_hand() -> None:
     # Wheels turn the base by (0.1·3 - 0.1·1) / 0.5 = 0.4 rad in a second. The gyro says 0.6 rad/s.
-    # Variances: rolling 0.2²·(0.1 + 0.3) on a track of 0.5 m: 0.016 / 0.25 = 0.064 for the turn, the
-    # gyro's 0.1² = 0.01. The heading: 0.4 + 0.064 / 0.074 · 0.2 = 0.57297.
+    # Variances: rolling 0.2²·(0.1 + 0.3) on a track of 0.5 m: 0.016 / 0.25 = 0.064 for the turn,
+    # the gyro's 0.1² = 0.01. The heading: 0.4 + 0.064 / 0.074 · 0.2 = 0.57297.
     noise = WheelNoise(0.2, 0.0, 0.0, 0.0, 0.0)
     angles = np.array([[1.0, 3.0]])
     wheels = WheelIncrements("wheels", ns([0.0, 1.0]), angles, ("left", "right"))
