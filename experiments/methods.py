@@ -41,6 +41,12 @@ def _pose_ekf(integrator: Integrator) -> Estimator:
     return PoseEkf()
 
 
+def _rl_ekf(integrator: Integrator) -> Estimator:
+    from fgloc.filters.rl_ekf import RlEkf
+
+    return RlEkf()
+
+
 def _batch(integrator: Integrator) -> Estimator:
     # Imported here because it brings GTSAM, which Models 1 and 2 do without.
     from fgloc.smoothing.batch import BatchSmoother
@@ -59,6 +65,7 @@ METHODS: tuple[Method, ...] = (
     Method("model2", "distance from wheels, heading from the yaw sensor", _model2),
     Method("model3", "unscented filter of pose and effective track", None),
     Method("pose-ekf", "extended Kalman filter of the pose", _pose_ekf),
+    Method("rl-ekf", "filter like robot_localization's, with its ekf.yaml", _rl_ekf),
     Method("ekf-slam", "extended Kalman filter of pose and landmarks", None),
     Method("batch", "factor graph over the whole drive, with calibration", _batch),
     Method("online", "factor graph over a sliding window, as it would run live", _online),

@@ -175,8 +175,10 @@ def run_filter(
                     for j in range(3):
                         anchor_covariances[stream, i, j] = p[i, j]
                 continue
-            h[:] = 0.0
+            # Entry by entry: assigning whole arrays would take seconds to compile.
             for i in range(d):
+                for j in range(n):
+                    h[i, j] = 0.0
                 for j in range(d):
                     r[i, j] = noises[e, i, j]
             if kind == YAW:
