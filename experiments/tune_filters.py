@@ -46,7 +46,7 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m fgloc.experiments.tune_filters")
     parser.add_argument("--methods", default=",".join(TUNABLE), help="ids, separated by commas")
     parser.add_argument("--drive", default=DRIVE, help="simulated drive without a seed")
-    parser.add_argument("--train", type=int, default=10, help="seeds to tune on")
+    parser.add_argument("--train", type=int, default=20, help="seeds to tune on")
     parser.add_argument("--test", type=int, default=40, help="seeds to judge on")
     parser.add_argument("--budget", type=int, default=100, help="evaluations for each method")
     parser.add_argument("--seed", type=int, default=0, help="seed of the search")
