@@ -1,0 +1,1 @@
+"""Recordings and devices of others: ROS bags."""
