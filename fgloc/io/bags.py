@@ -57,9 +57,9 @@ class Bag:
         try:
             from rosbags.highlevel import AnyReader
             from rosbags.typesys import Stores, get_typestore
-        except ImportError:
+        except ImportError as error:
             raise FglocError(
-                "reading ROS bags needs the library rosbags; install it with: "
+                f"reading ROS bags needs the library rosbags ({error}); install it with: "
                 "pip install 'fgloc[bags]'",
                 file=path,
             ) from None

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from fgloc.io.bags import Topic
-from fgloc.io.messages import FIX, IMU, JOINTS, ODOMETRY, POSES, SCAN, TWISTS, short
+from fgloc.io.messages import EXTRACTORS, FIX, IMU, JOINTS, ODOMETRY, POSES, SCAN, TWISTS, short
 from fgloc.io.topics import TABLES, Role, TopicMap
 
 TYPES: dict[str, tuple[str, ...]] = {
@@ -87,9 +87,11 @@ def guess(
         if t.count > 1 and t.name not in taken and t.name not in given.ignore
     }
     left: dict[str, str] = {}
-    _guess_truth(free, found, left, given)
+    named = set(found)
+    _guess_truth(free, found, left)
     _guess_wheels(free, found, left, given)
     _guess_camera(free, found, left)
+    notes += _doubts({role: t for role, t in found.items() if role not in named})
     for role, avoid in (("imu", (*VISUAL, "raw", "odometry", "odom")), ("scan", ()), ("gps", ())):
         _guess_sensor(role, avoid, free, found, left)
     if "truth" in found and "gps" in found and given.gps is None:
@@ -97,9 +99,25 @@ def guess(
         left[found.pop("gps").name] = (
             "the truth has a map of its own; [gps] in a topic map takes it"
         )
-    for name, why in left.items():
-        notes.append(f"Left out: {name} ({short(topics[name].kind)}): {why}.")
+    used = {t.name for t in found.values()}
+    for t in topics.values():
+        if t.kind in EXTRACTORS and t.name not in used:
+            why = left.get(t.name) or _why_not(t, given)
+            notes.append(f"Left out: {t.name} ({short(t.kind)}): {why}.")
     return found
+
+
+def _why_not(topic: Topic, given: TopicMap) -> str:
+    """Return why nothing was made of a topic of a type that could be read."""
+    if topic.name in given.ignore:
+        return "the topic map ignores it"
+    if topic.count < 2:
+        return f"it has {topic.count or 'no'} message{'' if topic.count == 1 else 's'}"
+    if topic.kind in TWISTS:
+        return "a command, by its name"
+    if topic.kind in POSES:
+        return "a wish or an estimate, by its name; [truth] in a topic map takes it"
+    return "nothing here needs it"
 
 
 def _named(role: str, name: str, topics: Mapping[str, Topic], given: TopicMap, bag: str) -> Topic:
@@ -132,9 +150,25 @@ def _take(
     return candidates[1:]
 
 
-def _guess_truth(
-    free: dict[str, Topic], found: dict[str, Topic], left: dict[str, str], given: TopicMap
-) -> None:
+def _doubts(guessed: Mapping[str, Topic]) -> list[str]:
+    """Return what is less than certain about the roles that were guessed."""
+    notes = []
+    truth, odometry = guessed.get("truth"), guessed.get("odometry")
+    if truth is not None and nature(truth) != "truth":
+        notes.append(
+            f"{truth.name} is taken for the truth as a pose that is called nothing else; "
+            f'ignore = ["{truth.name}"] in a topic map leaves it out.'
+        )
+    kinds = {"fused": "an estimate of several sensors", "laser": "a lidar", "visual": "a camera"}
+    if odometry is not None and nature(odometry) in kinds:
+        notes.append(
+            f"There is no odometry of wheels: the motion of the body is {odometry.name}, by its "
+            f"name that of {kinds[nature(odometry)]}."
+        )
+    return notes
+
+
+def _guess_truth(free: dict[str, Topic], found: dict[str, Topic], left: dict[str, str]) -> None:
     """Find the truth: what is called so, else a pose that is not called anything else."""
     named = [t for t in free.values() if t.kind in TYPES["truth"] and nature(t) == "truth"]
     poses = [

@@ -46,7 +46,7 @@ def read_imu(
     rate is never guessed. O(N).
     """
     stamps, index = stamps_of(messages, "imu", rejected, notes)
-    table = messages.table()[index] if index.size else np.zeros((0, 19))
+    table = messages.table()[index]
     good = finite_rows(table[:, RATE], rejected, f"imu {NOT_A_NUMBER}")
     stamps, table = stamps[good], table[good]
     if stamps.size < 2:

@@ -14,7 +14,7 @@ from fgloc.datasets.intervals import trapezoid
 from fgloc.datasets.plausible import FASTEST_M_S
 from fgloc.datasets.text import NOT_A_NUMBER, Integers, count, finite_rows
 from fgloc.errors import FglocError
-from fgloc.io.messages import Messages
+from fgloc.io.messages import Messages, sane
 from fgloc.io.sources import bridge
 from fgloc.io.stamps import stamps_of
 from fgloc.io.topics import TopicMap, WheelsTable
@@ -154,7 +154,7 @@ def _values(
             continue
         stacked = np.stack([rows[k][column] for k in index[at]])
         out[at] = np.take_along_axis(stacked, place[at, :joints], axis=1)
-    return out
+    return sane(out)
 
 
 def _moving_field(messages: Messages, index: Integers, place: Integers) -> str:

@@ -23,6 +23,14 @@ TWIST = slice(6, 9)
 POSE_VARIANCE, TWIST_VARIANCE = slice(9, 12), slice(12, 15)
 """Columns of the variances along the same three axes; 0 where the type has none."""
 NOTHING = (0.0, 0.0, 0.0)
+ODOMETRY_WIDTH = 15
+"""Columns of poses and twists."""
+WIDTHS = {"sensor_msgs/msg/Imu": 19, "sensor_msgs/msg/NavSatFix": 6}
+"""Columns of the other types with a fixed number of them."""
+
+
+HUGE = 1e12
+"""No measurement in SI units or encoder counts is this large."""
 
 
 @dataclass
@@ -46,12 +54,22 @@ class Messages:
         return len(self.rows)
 
     def table(self) -> Floats:
-        """Return the rows of a type with a fixed number of numbers as an array (N, C)."""
-        return np.array(self.rows, dtype=np.float64)
+        """Return the rows of a type with a fixed number of numbers as an array (N, C).
+
+        Numbers beyond any measurement become NaN, so that they are dropped like one.
+        """
+        width = WIDTHS.get(self.kind, ODOMETRY_WIDTH)
+        return sane(np.array(self.rows, dtype=np.float64).reshape(len(self.rows), width))
 
     def times(self) -> tuple[Stamps, Stamps]:
         """Return header stamps and times of recording as arrays (N,) [ns]."""
         return np.array(self.stamped, np.int64), np.array(self.received, np.int64)
+
+
+def sane(values: Floats) -> Floats:
+    """Return values with NaN for those beyond any measurement: a damaged message."""
+    with np.errstate(invalid="ignore"):
+        return np.where(np.abs(values) < HUGE, values, np.nan)
 
 
 def _pose(pose: Any) -> Row:

@@ -12,8 +12,14 @@ from fgloc.core.measurements import Floats, Stamps
 from fgloc.datasets.plausible import FASTEST_M_S, FASTEST_RAD_S
 from fgloc.datasets.text import Integers, Mask, count
 
-STEP_M, STEP_RAD = 0.1, 0.5
-"""A pose may step by so much at once beside what the fastest robot drives [m], [rad]."""
+STEP_M, STEP_RAD = 0.1, 0.3
+"""A pose may step by so much at once, whatever the time since the one before [m], [rad]."""
+TIMES, MORE = 5.0, 1.0
+"""A robot is at most so many times as fast, and so much faster [m/s], [rad/s], than in the middle
+of the WINDOW steps around."""
+WINDOW = 11
+STALE = 1.0
+"""A second of silence makes a source as unlikely as a metre away, or a radian."""
 MOST_SOURCES = 64
 """So many sources are told apart; poses that jump about more belong to none."""
 STRAY = 0.02
@@ -25,19 +31,27 @@ def one_source(
 ) -> tuple[Integers, Mask]:
     """Return indices (M,) of the poses of one source, and which of the M-1 steps are its resets.
 
-    A pose that cannot follow the one before belongs to another source: to the nearest of those
-    seen so far that it can follow, else to a new one. The source of most poses is kept; one that
+    A pose that cannot follow the one before, by the speed around it and by what any robot drives,
+    belongs to another source: to the nearest of those seen so far that it can follow, else to a
+    new one. The source of most poses is kept; one that
     begins after it ends, or ends before it begins, is the same robot after a reset of its
     odometry. Everything else is dropped and counted. O(N), where poses jump O(N · sources).
     """
     everything = np.arange(stamps.size, dtype=np.int64)
     step = between(poses[:-1], poses[1:])
     seconds = np.diff(stamps) * 1e-9
-    far = np.hypot(step[:, 0], step[:, 1]) > FASTEST_M_S * seconds + STEP_M
-    jumps = far | (np.abs(wrap(step[:, 2])) > FASTEST_RAD_S * seconds + STEP_RAD)
+    way, turn = np.hypot(step[:, 0], step[:, 1]), np.abs(wrap(step[:, 2]))
+    limits = np.stack(
+        [_limit(way / seconds, FASTEST_M_S), _limit(turn / seconds, FASTEST_RAD_S)], axis=1
+    )
+    allowed = limits * seconds[:, None] + (STEP_M, STEP_RAD)
+    jumps = (way > allowed[:, 0]) | (turn > allowed[:, 1])
     if not jumps.any():
         return everything, jumps
-    source = _sources(stamps, poses, np.empty(stamps.size, np.int64))
+    # Each pose has the limit of the step that leads to it.
+    source = _sources(
+        stamps, poses, np.concatenate([limits[:1], limits]), np.empty(stamps.size, np.int64)
+    )
     number, size = np.unique(source[source >= 0], return_counts=True)
     kept: list[tuple[int, int, int]] = []
     beside: list[int] = []
@@ -58,16 +72,28 @@ def one_source(
         )
     resets = np.diff(source[chosen]) != 0
     if resets.any():
+        number_of = "once" if resets.sum() == 1 else f"{int(resets.sum())} times"
         notes.append(
-            f"{topic} jumps {int(resets.sum())} times and goes on from there, as after a reset: "
-            "the motion across a jump is taken as steady."
+            f"{topic} jumps {number_of} and goes on from there, as after a reset: the motion "
+            "across a jump is taken as steady."
         )
     return chosen, resets
 
 
+def _limit(speed: Floats, fastest: float) -> Floats:
+    """Return (N,) the speed that is believed of each of N steps, never above `fastest`."""
+    from scipy.ndimage import median_filter
+
+    middle = median_filter(speed, WINDOW, mode="nearest")
+    return np.asarray(np.minimum(TIMES * middle + MORE, fastest))
+
+
 @compiled
-def _sources(stamps: Stamps, poses: Floats, out: Integers) -> Integers:
-    """Return which source each pose belongs to, -1 where there would be too many."""
+def _sources(stamps: Stamps, poses: Floats, limits: Floats, out: Integers) -> Integers:
+    """Return which source each pose belongs to, -1 where there would be too many.
+
+    `limits` (N, 2) are the largest speed and rate of turning believed of each pose.
+    """
     latest = np.empty(MOST_SOURCES, np.int64)
     n = 0
     for k in range(stamps.size):
@@ -77,10 +103,11 @@ def _sources(stamps: Stamps, poses: Floats, out: Integers) -> Integers:
             seconds = (stamps[k] - stamps[before]) * 1e-9
             away = np.hypot(poses[k, 0] - poses[before, 0], poses[k, 1] - poses[before, 1])
             turn = abs((poses[k, 2] - poses[before, 2] + np.pi) % (2.0 * np.pi) - np.pi)
-            if away > FASTEST_M_S * seconds + STEP_M or turn > FASTEST_RAD_S * seconds + STEP_RAD:
+            if away > limits[k, 0] * seconds + STEP_M or turn > limits[k, 1] * seconds + STEP_RAD:
                 continue
-            if away + turn < nearest:
-                best, nearest = s, away + turn
+            # A source long silent would have moved on: who comes by its last pose is another.
+            if away + turn + STALE * seconds < nearest:
+                best, nearest = s, away + turn + STALE * seconds
         if best < 0 and n < MOST_SOURCES:
             best = n
             n += 1

@@ -76,12 +76,15 @@ def read_gps(
     Every fix has the sigma of its own covariance where that is known and sensible.
     """
     stamps, index = stamps_of(messages, "gps", rejected, notes)
-    table = messages.table()[index] if index.size else np.zeros((0, 6))
+    table = messages.table()[index]
     fixed = table[:, 2] >= 0.0
     count(rejected, "gps without fix", int((~fixed).sum()))
     stamps, table = stamps[fixed], table[fixed]
     good = finite_rows(table[:, :2], rejected, f"gps {NOT_A_NUMBER}")
     stamps, table = stamps[good], table[good]
+    on_earth = (np.abs(table[:, 0]) <= 90.0) & (np.abs(table[:, 1]) <= 360.0)
+    count(rejected, "gps off the earth", int((~on_earth).sum()))
+    stamps, table = stamps[on_earth], table[on_earth]
     if not stamps.size:
         notes.append(f"{messages.topic} holds no valid fix.")
         return None, given
