@@ -99,6 +99,13 @@ def guess(
         left[found.pop("gps").name] = (
             "the truth has a map of its own; [gps] in a topic map takes it"
         )
+    for role, _ in given.roles():
+        if role not in found and given.file is not None:
+            kinds = ", ".join(short(k) for k in TYPES[role])
+            message = f"[{role}]: {bag} has no topic for it that could be guessed, of {kinds}"
+            if role in ("wheels", "odometry"):
+                raise given.error(message, role)
+            notes.append(f"{message}.")
     used = {t.name for t in found.values()}
     for t in topics.values():
         if t.kind in EXTRACTORS and t.name not in used:
@@ -265,5 +272,5 @@ def used_as(role: str, topic: Topic, table: Role) -> str:
 def _words(value: Any) -> str:
     """Return an option's value in words."""
     if isinstance(value, tuple):
-        return " ".join(_words(v) for v in value)
+        return f"({', '.join(_words(v) for v in value)})"
     return f"{value:.6g}" if isinstance(value, float) else str(value)

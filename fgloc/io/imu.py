@@ -34,6 +34,9 @@ GRID_NS = 200_000_000
 """Rates are compared as means over this time [ns]."""
 ORIENTATION, RATE, ACCELERATION = slice(0, 4), slice(4, 7), slice(7, 10)
 ORIENTATION_VARIANCE, RATE_VARIANCE = slice(10, 13), slice(13, 16)
+ACCELERATION_VARIANCE = slice(16, 19)
+UNKNOWN = -1.0
+"""First element of the covariance of what an IMU does not measure (sensor_msgs/Imu)."""
 
 
 def read_imu(
@@ -41,9 +44,9 @@ def read_imu(
 ) -> tuple[list[Sensor], ImuTable]:
     """Return the streams "yaw", "gyro", "acc" of an IMU, as far as it has them, and the table.
 
-    A heading is taken unless its covariance begins with -1 (unknown) or no quaternion has a
-    length; of a rate or an acceleration that is zero throughout nothing is taken. The sign of a
-    rate is never guessed. O(N).
+    Nothing is taken whose covariance begins with -1 (not measured), of a heading whose quaternions
+    have no length or never change, or of a rate or an acceleration that is zero throughout. The
+    sign of a rate is never guessed. O(N).
     """
     stamps, index = stamps_of(messages, "imu", rejected, notes)
     table = messages.table()[index]
@@ -73,6 +76,7 @@ def read_imu(
     if "yaw" in wanted:
         upright = np.linalg.norm(table[:, ORIENTATION], axis=1) > 1e-6
         upright &= np.isfinite(table[:, ORIENTATION]).all(axis=1)
+        upright &= table[:, ORIENTATION_VARIANCE.start] != UNKNOWN
         count(rejected, "imu without orientation", int((~upright).sum()))
         known = table[upright]
         heading = _heading(known[:, ORIENTATION], axis)
@@ -119,15 +123,22 @@ def _content(table: Floats) -> tuple[str, ...]:
     """Return what an IMU measures of "yaw", "rate" and "acceleration"."""
     quaternions = table[:, ORIENTATION]
     oriented = np.isfinite(quaternions).all(axis=1) & (np.abs(quaternions).max(axis=1) > 1e-6)
-    unknown = table[:, ORIENTATION_VARIANCE.start] == -1.0
+    unknown = {
+        name: bool(np.all(table[:, variance.start] == UNKNOWN))
+        for name, variance in (
+            ("yaw", ORIENTATION_VARIANCE),
+            ("rate", RATE_VARIANCE),
+            ("acceleration", ACCELERATION_VARIANCE),
+        )
+    }
     # Drivers without an orientation leave it at the identity and forget to say so.
     varies = oriented.sum() >= 2 and bool(np.any(np.ptp(quaternions[oriented], axis=0) > 0.0))
     found = {
-        "yaw": varies and not bool(unknown.all()),
+        "yaw": varies,
         "rate": bool(np.any(table[:, RATE] != 0.0)),
         "acceleration": bool(np.any(np.nan_to_num(table[:, ACCELERATION]) != 0.0)),
     }
-    return tuple(name for name, there in found.items() if there)
+    return tuple(name for name, there in found.items() if there and not unknown[name])
 
 
 def _vertical(table: Floats, topic: str, notes: list[str]) -> str:
@@ -239,4 +250,4 @@ def _shared_grid(one: Integers, other: Integers) -> Integers:
 def _at(grid: Integers, stamps: Integers, values: Floats) -> Floats:
     """Return values interpolated at the stamps of a grid."""
     origin = stamps[0]
-    return np.interp((grid - origin) * 1e-9, (stamps - origin) * 1e-9, values)
+    return np.asarray(np.interp((grid - origin) * 1e-9, (stamps - origin) * 1e-9, values))

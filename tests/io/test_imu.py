@@ -134,6 +134,14 @@ def test_an_unknown_orientation_gives_no_heading(tmp_path: Path) -> None:
     drive = read(tmp_path, unknown).drive
     assert not drive.each(Yaw)
     assert len(drive.each(YawRate)) == 1
+    unmeasured = mounted(
+        UPRIGHT,
+        angular_velocity_covariance=[-1.0, *[0.0] * 8],
+        linear_acceleration_covariance=[-1.0, *[0.0] * 8],
+    )
+    path = tmp_path / "unmeasured"
+    path.mkdir()
+    assert [type(s) for s in read(path, unmeasured).drive.sensors] == [Yaw]
     for name, q in (("none", (0.0, 0.0, 0.0, 0.0)), ("identity", (0.0, 0.0, 0.0, 1.0))):
         path = tmp_path / name
         path.mkdir()

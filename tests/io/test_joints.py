@@ -171,6 +171,17 @@ def test_a_map_that_does_not_fit_names_its_line(
     assert str(error.value).startswith(f"{topics}{line}: ")
 
 
+def test_a_role_that_is_described_and_not_there(tmp_path: Path) -> None:
+    topics = tmp_path / "topics.toml"
+    topics.write_text("[gps]\nsigma = 0.02\n")
+    path = write_bag(tmp_path / "run.bag", Arc(1.0).odometry())
+    notes = read_bag(path, given=load_topics(topics)).drive.notes
+    assert any("[gps]" in n and "sensor_msgs/NavSatFix" in n for n in notes)
+    topics.write_text("\n[wheels]\ngear = 2\n")
+    with pytest.raises(FglocError, match=r":2: \[wheels\].*sensor_msgs/JointState"):
+        read_bag(path, given=load_topics(topics))
+
+
 def test_joints_without_a_described_robot(tmp_path: Path) -> None:
     wheels = rolled([[0.0, 0.0], [0.1, 0.2]])
     path = write_bag(tmp_path / "run.bag", wheels)
