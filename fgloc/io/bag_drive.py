@@ -130,6 +130,8 @@ def _wheels(
             messages[found["odometry"].name], table_for("odometry", given), rejected, notes
         )
         name = (given.base or {}).get("name")
+        if "kind" in (given.base or {}):
+            notes.append("[base] describes wheels and is not used: an odometry tells the motion.")
         return wheels, robot if name is None else replace(robot, name=str(name))
     if given.base is None:
         raise given.error(

@@ -121,7 +121,7 @@ def _why_not(topic: Topic, given: TopicMap) -> str:
     if topic.count < 2:
         return f"it has {topic.count or 'no'} message{'' if topic.count == 1 else 's'}"
     if topic.kind in TWISTS:
-        return "a command, by its name"
+        return "a command or a truth, by its name"
     if topic.kind in POSES:
         return "a wish or an estimate, by its name; [truth] in a topic map takes it"
     return "nothing here needs it"
@@ -197,8 +197,7 @@ def _guess_wheels(
     joints = [t for t in free.values() if t.kind == JOINTS]
     joints.sort(key=lambda t: (not says(t.name, WHEEL), -t.count))
     odometries = [t for t in free.values() if t.kind in (ODOMETRY, *TWISTS)]
-    # A twist of another name than a wheel's may be a command.
-    odometries = [t for t in odometries if t.kind == ODOMETRY or not says(t.name, ["cmd"])]
+    odometries = [t for t in odometries if not says(t.name, ["cmd", *TRUTH])]
     rank = {"wheel": 0, "": 1, "fused": 3, "laser": 4, "visual": 5}
     odometries.sort(key=lambda t: (rank[nature(t)], t.kind != ODOMETRY, -t.count))
     if "wheels" not in found and "odometry" not in found:

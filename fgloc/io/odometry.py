@@ -237,6 +237,8 @@ def read_camera(
         return None, given
     kept, _ = one_source(stamps, poses, messages.topic, "camera", rejected, notes)
     stamps, poses, index = stamps[kept], poses[kept], index[kept]
+    # Unwrapped across what was dropped, the heading may have jumped by a turn.
+    poses[:, 2] = np.unwrap(poses[:, 2])
     way, heading = walk_of(messages, stamps, index)
     if given.position_walk is None and given.heading_walk is None:
         told = "the median twist covariance" if way and heading else "what is usual"

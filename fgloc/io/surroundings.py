@@ -40,6 +40,8 @@ def read_truth(
         return None, given
     kept, _ = one_source(stamps, poses, messages.topic, "truth", rejected, notes)
     stamps, index, poses = stamps[kept], index[kept], poses[kept]
+    # Unwrapped across what was dropped, the heading may have jumped by a turn.
+    poses[:, 2] = np.unwrap(poses[:, 2])
     told = _pose_sigma(messages.table()[index][:, POSE_VARIANCE])
     truth = Reference(
         Trajectory(stamps, poses),

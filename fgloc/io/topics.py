@@ -203,12 +203,13 @@ class TopicMap:
     def over(self, other: TopicMap) -> TopicMap:
         """Return this map with what it leaves out taken from `other`, key by key.
 
-        A role whose topic this map changes takes nothing from the other's, and one that takes
-        the place of the other's wheels replaces them.
+        A role whose topic this map changes takes nothing from the other's, one that takes the
+        place of the other's wheels replaces them, and what this map ignores is not taken.
         """
         merged: dict[str, Any] = {"base": self.base if self.base is not None else other.base}
         for name in TABLES:
             own, below = self.role(name), other.role(name)
+            below = None if below is not None and below.topic in self.ignore else below
             if own is not None and below is not None and own.topic in (None, below.topic):
                 given = {k: v for k, v in msgspec.structs.asdict(own).items() if v is not None}
                 own = msgspec.structs.replace(below, **given)

@@ -20,7 +20,7 @@ from fgloc.io.bag_drive import BagDrive, read_bag
 from fgloc.io.sources import bridge, one_source
 from fgloc.io.topics import CameraTable, OdometryTable, TopicMap
 
-from .bagfiles import SECOND, START, Arc, Message, diagonal, odometry, write_bag
+from .bagfiles import SECOND, START, Arc, Message, diagonal, odometry, pose_stamped, write_bag
 
 ARC = Arc()
 STEP = (0.05, 0.0, 0.025)
@@ -77,6 +77,19 @@ def test_one_stray_pose_is_dropped_and_the_interval_across_it_is_whole(tmp_path:
     assert drive.wheels.stamps_ns.size == 80
     np.testing.assert_allclose(drive.wheels.angles[29], 2 * np.array(STEP), atol=1e-12)
     np.testing.assert_allclose(drive.wheels.angles.sum(axis=0), [4.0, 0.0, 2.0], atol=1e-12)
+
+
+def test_a_truth_with_stray_poses_keeps_a_heading_without_jumps(tmp_path: Path) -> None:
+    # 3.0 rad, strays at 0 and -3.0 rad: unwrapped one after the other they lead a turn astray.
+    strays = {20: (50.0, 0.0, 0.0), 21: (50.5, 0.0, -3.0)}
+    messages = ARC.odometry()
+    for k, s in enumerate(ARC.stamps):
+        x, y, _ = ARC.pose(s)
+        messages.append(pose_stamped(s, strays.get(k, (x, y, 3.0))))
+    drive = read(tmp_path, messages).drive
+    assert drive.truth is not None
+    assert drive.rejected == {"truth pose of another source": 2}
+    np.testing.assert_allclose(drive.truth.trajectory.poses[:, 2], 3.0, atol=1e-12)
 
 
 def test_two_robots_under_one_name_are_told_apart(tmp_path: Path) -> None:

@@ -138,6 +138,7 @@ def test_maps_join_key_by_key() -> None:
     assert joined.base == {"kind": "a"}
     assert joined.ignore == ("/x",)
     assert TopicMap(odometry=OdometryTable(topic="/o")).over(below).wheels is None
+    assert TopicMap(ignore=("/t",)).over(below).truth is None
 
 
 def topics(**kinds: str) -> dict[str, Topic]:
@@ -175,6 +176,7 @@ def topics(**kinds: str) -> dict[str, Topic]:
             {"odometry": "/odom", "truth": "/vicon/robot"},
         ),
         ({"twist": TWIST, "cmd_vel": TWIST, "joint_states": JOINTS}, {"odometry": "/twist"}),
+        ({"ground_truth__twist": TWIST, "odom": ODOMETRY}, {"odometry": "/odom"}),
         ({"visual_odom": ODOMETRY}, {"odometry": "/visual_odom"}),
         ({"t265__odom": ODOMETRY, "icp": ODOMETRY, "odom": ODOMETRY}, {
             "odometry": "/odom", "camera": "/t265/odom",
