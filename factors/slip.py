@@ -211,7 +211,8 @@ def likely_side(base: WheeledBase, split: SplitIncrements, model: SlipModel) -> 
         return np.zeros(seconds.size)
     angles = np.add.reduceat(split.angles, split.bounds[:-1], axis=0)
     speed = np.abs(angles * radii * along) / seconds[:, None]
-    change = np.gradient(speed, np.cumsum(seconds) - seconds / 2, axis=0)
+    middle = np.cumsum(seconds) - seconds / 2
+    change = np.stack([np.gradient(column, middle) for column in speed.T], axis=1)
     alike = np.abs(np.sign(change).sum(axis=1)) == change.shape[1]
     own = np.where(alike, np.sign(change[:, 0]) * np.abs(change).min(axis=1), 0.0)
     moving = speed.max(axis=1) > 0.0

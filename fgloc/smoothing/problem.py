@@ -92,7 +92,7 @@ class Problem:
     def size_gradient(self) -> Floats:
         """Return (F,) by how much the free parameters' solver variables make the wheels larger."""
         scale = np.array([p.derivative(0.0) for p in self.parameters[: len(self.free)]])
-        return self.robot.base.size_gradient()[list(self.free)] * scale
+        return np.asarray(self.robot.base.size_gradient()[list(self.free)] * scale)
 
     def fix_keyframes(self) -> Stamps:
         """Return the sorted keyframe indices that have an absolute fix, the start included."""

@@ -110,7 +110,7 @@ def test_an_unknown_scale_is_not_found_by_shrinking_noise() -> None:
     # smaller path makes every residual smaller: left alone, that pulls the scale up by 5 sigma.
     off = []
     for seed in range(6):
-        drive = load_sim(f"random?robot=differential&camera=on&yaw=off&duration=60&seed={seed}")
+        drive = load_sim(f"figure-eight?robot=mecanum&camera=on&seed={seed}")
         truth = drive.true_calibration
         assert truth is not None
         result = BatchSmoother().estimate(drive)
