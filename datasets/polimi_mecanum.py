@@ -60,15 +60,18 @@ def load(folder: Path, run: str, name: str, given: TopicMap) -> BagDrive:
 def _finished(drive: Drive, *, stated: bool) -> Drive:
     """Return the drive with the truth's name, and the prior of counts that are only stated."""
     truth = None if drive.truth is None else replace(drive.truth, sensor="optitrack")
+    robot = drive.robot
     notes = [
         *drive.notes,
-        "The counts of a revolution are stated as 42 and were fitted as 38: the radii have a prior "
-        f"of {COUNTS_PRIOR:.0%} for that.",
-        "The truth's heading jitters by 2 degrees.",
+        "The truth's heading jitters by 2 degrees; where the body is not seen, its last pose is "
+        "repeated.",
     ]
-    if not stated:
-        return replace(drive, truth=truth)
-    robot = replace(drive.robot, base=_with_counts_prior(drive.robot.base))
+    if stated:
+        robot = replace(robot, base=_with_counts_prior(robot.base))
+        notes.append(
+            "The counts of a revolution are stated as 42 and were fitted as 38: the radii have a "
+            f"prior of {COUNTS_PRIOR:.0%} for that."
+        )
     return replace(drive, robot=robot, truth=truth, notes=tuple(notes))
 
 

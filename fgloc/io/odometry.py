@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from fgloc.core.bases import body_odometry
-from fgloc.core.geometry import between, log, wrap
+from fgloc.core.geometry import EXACT, between, integrate, log, wrap
 from fgloc.core.measurements import CameraPoses, Floats, Stamps, WheelIncrements
 from fgloc.core.robot import Robot, WheelNoise
 from fgloc.datasets.intervals import trapezoid
@@ -112,14 +112,18 @@ def _from_poses(
         return stamps, np.zeros((0, 3))
     kept, resets = one_source(stamps, poses, messages.topic, "odometry", rejected, notes)
     stamps, poses = stamps[kept], poses[kept]
-    step = between(poses[:-1], poses[1:])
-    step[:, 2] = wrap(step[:, 2])
-    seconds = np.diff(stamps) * 1e-9
-    moved = bridge(log(step), seconds, resets)
+    moved = bridge(_steps(poses), np.diff(stamps) * 1e-9, resets)
     if messages.kind not in POSES:
         twists = messages.table()[index[kept]][:, TWIST]
         _compare(moved, resets, stamps, twists, poses[:, 2], messages.topic, notes)
     return stamps, moved
+
+
+def _steps(poses: Floats) -> Floats:
+    """Return the (M-1, 3) displacements between poses (M, 3), as twist times time."""
+    step = between(poses[:-1], poses[1:])
+    step[:, 2] = wrap(step[:, 2])
+    return log(step)
 
 
 def _compare(
@@ -235,10 +239,12 @@ def read_camera(
     if stamps.size < 2:
         notes.append(f"{messages.topic} has fewer than two usable poses and is left out.")
         return None, given
-    kept, _ = one_source(stamps, poses, messages.topic, "camera", rejected, notes)
-    stamps, poses, index = stamps[kept], poses[kept], index[kept]
-    # Unwrapped across what was dropped, the heading may have jumped by a turn.
-    poses[:, 2] = np.unwrap(poses[:, 2])
+    kept, resets = one_source(stamps, poses, messages.topic, "camera", rejected, notes)
+    stamps, index = stamps[kept], index[kept]
+    # Only differences count: from the origin on, coordinates keep their digits and the heading
+    # has no jumps, whatever was dropped and however often the camera began anew.
+    moved = bridge(_steps(poses[kept]), np.diff(stamps) * 1e-9, resets)
+    poses = integrate(moved, np.array([0.0, 0.0, poses[kept[0], 2]]), EXACT)
     way, heading = walk_of(messages, stamps, index)
     if given.position_walk is None and given.heading_walk is None:
         told = "the median twist covariance" if way and heading else "what is usual"
@@ -246,8 +252,6 @@ def read_camera(
             f"Noise of the camera: {way or CAMERA_WALK:.2g} m/√m and "
             f"{heading or CAMERA_HEADING_WALK:.2g} rad/√m, {told}."
         )
-    # Large coordinates (UTM) would cost digits later on, and only differences count.
-    poses[:, :2] -= poses[0, :2]
     camera = CameraPoses(
         "camera",
         stamps,

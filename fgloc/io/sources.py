@@ -12,7 +12,7 @@ from fgloc.core.measurements import Floats, Stamps
 from fgloc.datasets.plausible import FASTEST_M_S, FASTEST_RAD_S
 from fgloc.datasets.text import Integers, Mask, count
 
-STEP_M, STEP_RAD = 0.1, 0.3
+STEP_M, STEP_RAD = 0.1, 0.5
 """A pose may step by so much at once, whatever the time since the one before [m], [rad]."""
 TIMES, MORE = 5.0, 1.0
 """A robot is at most so many times as fast, and so much faster [m/s], [rad/s], than in the middle
@@ -73,10 +73,9 @@ def one_source(
     resets = np.diff(source[chosen]) != 0
     if resets.any():
         number_of = "once" if resets.sum() == 1 else f"{int(resets.sum())} times"
-        notes.append(
-            f"{topic} jumps {number_of} and goes on from there, as after a reset: the motion "
-            "across a jump is taken as steady."
-        )
+        steady = "the motion across a jump is taken as steady."
+        then = "it was lost in between, or set anew." if role == "truth" else steady
+        notes.append(f"{topic} jumps {number_of} and goes on from there, as after a reset: {then}")
     return chosen, resets
 
 

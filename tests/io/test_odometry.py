@@ -293,6 +293,17 @@ def test_a_camera_of_a_mirrored_world_still_reads(tmp_path: Path) -> None:
     assert any("0.02 m/√m" in n and "what is usual" in n for n in drive.notes)
 
 
+def test_a_camera_that_begins_anew_goes_on(tmp_path: Path) -> None:
+    messages = ARC.odometry()
+    for k, s in enumerate(ARC.stamps):
+        pose = ARC.pose(s if k < 60 else s - ARC.stamps[60] + START)
+        messages.append(odometry(s, pose, topic="/vio/odom"))
+    drive = read(tmp_path, messages).drive
+    (camera,) = drive.each(CameraPoses)
+    np.testing.assert_allclose(camera.poses, [ARC.pose(s) for s in ARC.stamps], atol=1e-9)
+    assert any("/vio/odom jumps once" in n and "steady" in n for n in drive.notes)
+
+
 def test_every_method_runs_on_a_body_odometry(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     long = Arc(seconds=40.0)
