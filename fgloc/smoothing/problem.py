@@ -187,6 +187,25 @@ def _inverse_cholesky(covariance: Floats, out: Floats) -> bool:
     return True
 
 
+def predicting(table: FactorTable, wheels: FactorTable, u: Floats) -> FactorTable:
+    """Return a camera's table with what the wheels predict at calibration u; others as they are.
+
+    `wheels` holds one row a keyframe interval, in order.
+    """
+    if table.kind != Kind.CAMERA:
+        return table
+    rows = table.measurements.copy()
+    rows[:, 6:9] = predicted_displacement(wheels, u)[table.first - wheels.first[0]]
+    return replace(table, measurements=rows)
+
+
+def predicted_displacement(wheels: FactorTable, u: Floats) -> Floats:
+    """Return the (M, 3) displacements of a wheel table at calibration u (G,)."""
+    f = wheels.calibration.stop
+    m = wheels.measurements
+    return np.asarray(m[:, :3] + m[:, 3 : 3 + 3 * f].reshape(-1, 3, f) @ u[:f])
+
+
 def diagonal(sigma: Floats) -> Floats:
     """Return (M, d, d) square-root information of (M, d) independent standard deviations."""
     m, d = sigma.shape
