@@ -72,7 +72,7 @@ def test_streams_make_the_rows_that_batch_makes() -> None:
     camera = next(t for t in problem.tables if t.kind == Kind.CAMERA)
     np.testing.assert_allclose(
         window.tables[camera.sensor, camera.kind].measurements.view,
-        predicting(camera, wheels, u).measurements,
+        predicting(camera, wheels, problem.states, u).measurements,
         atol=1e-9,
     )
 
