@@ -60,6 +60,7 @@ def compare(
     data: Path | None = None,
     progress: Progress | None = None,
     estimators: Mapping[str, Estimator] | None = None,
+    ekf_file: str | None = None,
 ) -> Comparison:
     """Return the outcome of every method on every drive named.
 
@@ -67,7 +68,8 @@ def compare(
     all of them before the first method runs, so that a file that cannot be read is known at once.
     `fixes` adds sparse position fixes made from the truth; `robot_file` replaces the drives' own
     description; `progress` is told after each drive and method; `estimators` are taken by method
-    id in place of those with default settings. Raises FglocError for a drive that
+    id in place of those with default settings; `ekf_file` is where one of them was configured, for
+    the record. Raises FglocError for a drive that
     cannot be read, a method that does not exist, or if no method can run on any drive.
     """
     ids = parse(methods)
@@ -82,6 +84,7 @@ def compare(
         None if fixes is None else (fixes.every_s, fixes.sigma_m),
         seed,
         None if robot_file is None else str(robot_file),
+        ekf_file,
     )
     return compare_drives(
         loaded, ids, settings, integrator=integrator, progress=progress, estimators=estimators

@@ -232,7 +232,7 @@ class _Reader:
         for reason, flags in (
             ("not planar", [f for f in FLAGS if f in asked and f not in PLANAR]),
             (
-                f"{'an' if kind == 'imu' else 'a'} {kind} input has none",
+                f"{'an' if kind in ('imu', 'odom') else 'a'} {kind} input has none",
                 [f for f in PLANAR if f in asked and f not in MEASURES[kind]],
             ),
         ):

@@ -30,6 +30,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
         "integrator": settings.integrator,
         "fixes": fixes,
         "robot_file": settings.robot_file,
+        "ekf_file": settings.ekf_file,
         "start": START,
         "alignment": ALIGNMENT,
         "drives": [_drive(outcome) for outcome in comparison.drives],
