@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
+from fgloc.core.consistency import average, squared_normalised
 from fgloc.core.measurements import Floats, Stamps
 from fgloc.filters.rl_kernel import STATES, Codes, advance, run_filter, transition
 
@@ -202,3 +203,36 @@ def test_no_measurement_is_believed_beyond_reason() -> None:
     loop.run(np.array([0]), x, p, np.zeros((STATES, STATES)))
     assert x[0] == pytest.approx(1.0 / (1.0 + 1e-9), rel=1e-12)
     assert p[0, 0] > 0.0
+
+
+def test_covariances_are_right_for_motion_as_modelled() -> None:
+    """Drives made of the filter's own noise: NEES of the whole state over 100 of them, 8 degrees.
+
+    Each is 5 s of twists at 20 Hz and poses at 2 Hz, with process noise drawn a step.
+    """
+    q = np.diag([1e-4, 1e-4, 1e-4, 1e-2, 1e-2, 1e-2, 0.1, 0.1])
+    times = np.arange(1, 101) * 50_000_000
+    found = []
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        p = np.diag([0.01, 0.01, 1e-3, 0.1, 0.1, 0.01, 0.1, 0.1])
+        x = rng.multivariate_normal(np.zeros(STATES), p)
+        twists, poses = [], []
+        for k in range(100):
+            x = moved(x, 0.05) + np.sqrt(np.diag(q) * 0.05) * rng.standard_normal(STATES)
+            twists.append(x[3:6] + 0.1 * rng.standard_normal(3))
+            if k % 10 == 9:
+                poses.append(x[:3] + 0.05 * rng.standard_normal(3))
+        speed = Loop([3, 4, 5], times, np.array(twists), 0.01 * np.eye(3))
+        place = Loop([0, 1, 2], times[9::10], np.array(poses), 0.0025 * np.eye(3))
+        both = Loop([0], np.zeros(0, np.int64), np.zeros((0, 1)), np.eye(1))
+        order = np.argsort(np.concatenate([speed.times, place.times]), kind="stable")
+        for name in vars(both):
+            joined = np.concatenate([getattr(speed, name), getattr(place, name)])
+            setattr(both, name, joined[order])
+        estimate, covariance = np.zeros(STATES), p.copy()
+        both.run(times, estimate, covariance, q)
+        error = estimate - x
+        error[2] = (error[2] + np.pi) % (2 * np.pi) - np.pi
+        found.append(squared_normalised(error, covariance))
+    assert average(found, STATES, 0.99).verdict == "inside"
