@@ -212,6 +212,7 @@ class Run:
             events.turn_variances,
             np.full(len(events.gyros), settings.gyro_gate**2),
             events.rounding,
+            settings.horizon_s,
             np.array([settings.patience_count, int(waiting)], dtype=np.int64),
             self._x,
             self._p,
