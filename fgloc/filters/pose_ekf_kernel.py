@@ -256,7 +256,8 @@ def _second_order(variance: float, step: Floats) -> float:
     winding way it lies in every direction. Beyond one radian nothing is known anyway.
     """
     v = min(variance, 1.0)
-    return 0.5 * v * v * (step[0] * step[0] + step[1] * step[1])
+    squared: float = step[0] * step[0] + step[1] * step[1]
+    return 0.5 * v * v * squared
 
 
 @compiled

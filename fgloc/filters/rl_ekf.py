@@ -216,5 +216,5 @@ def _first_covariance(config: EkfConfig, drive: Drive, start: Floats) -> Floats:
         return np.array(config.initial_covariance)
     p = np.eye(STATES)
     sigma = np.full(3, ORIGIN_SIGMA) if drive.truth is None else np.array(drive.truth.sigma)
-    p[:3, :3] = rotate_covariance(np.diag(sigma**2), np.float64(-start[2]))
+    p[:3, :3] = rotate_covariance(np.diag(sigma**2), np.asarray(-start[2]))
     return p

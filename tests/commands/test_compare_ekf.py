@@ -38,7 +38,7 @@ def test_a_configuration_is_used_and_recorded(
         "rl-ekf: odom0 (/odom) reads wheels: vx, vy, vyaw.",
         "rl-ekf: pose0 (/gps) reads fixes: x, y.",
         "rl-ekf: without effect on recorded drives: publish_tf.",
-        "rl-ekf: key is not known and not honoured: no_such_key (line 11).",
+        "rl-ekf: key is not known and not honoured: no_such_key (line 12).",
     ):
         assert note in shown
     document = json.loads(numbers.read_text())
