@@ -18,6 +18,7 @@ from fgloc.errors import FglocError
 from fgloc.estimator import Estimator, run
 from fgloc.experiments.fixes import FixSpec, with_fixes
 from fgloc.experiments.methods import create, parse
+from fgloc.io.topics import load_topics
 from fgloc.report.outcomes import (
     Comparison,
     DriveOutcome,
@@ -58,6 +59,7 @@ def compare(
     robot_file: str | Path | None = None,
     integrator: Integrator = "exact",
     data: Path | None = None,
+    topics_file: Path | None = None,
     progress: Progress | None = None,
     estimators: Mapping[str, Estimator] | None = None,
     ekf_file: str | None = None,
@@ -67,16 +69,17 @@ def compare(
     `drives` may hold patterns (see `fgloc.datasets.registry.expand`). Every drive is read once,
     all of them before the first method runs, so that a file that cannot be read is known at once.
     `fixes` adds sparse position fixes made from the truth; `robot_file` replaces the drives' own
-    description; `progress` is told after each drive and method; `estimators` are taken by method
-    id in place of those with default settings; `ekf_file` is where one of them was configured, for
-    the record. Raises FglocError for a drive that
-    cannot be read, a method that does not exist, or if no method can run on any drive.
+    description; `topics_file` says which topic of ROS bags is what; `progress` is told after each
+    drive and method; `estimators` are taken by method id in place of those with default settings;
+    `ekf_file` is where one of them was configured, for the record. Raises FglocError for a drive
+    that cannot be read, a method that does not exist, or if no method can run on any drive.
     """
     ids = parse(methods)
     names = expand(list(drives), data)
     loaded: list[Drive] = []
+    topics = None if topics_file is None else load_topics(topics_file)
     for name in names:
-        loaded.append(_prepared(load_drive(name, data), robot_file, fixes, seed))
+        loaded.append(_prepared(load_drive(name, data, topics), robot_file, fixes, seed))
         if progress is not None:
             progress(Step(0, len(names) * len(ids), name, "", "read"))
     settings = Settings(
@@ -84,6 +87,7 @@ def compare(
         None if fixes is None else (fixes.every_s, fixes.sigma_m),
         seed,
         None if robot_file is None else str(robot_file),
+        None if topics_file is None else str(topics_file),
         ekf_file,
     )
     return compare_drives(

@@ -107,6 +107,7 @@ def _smooth(commands: Commands[argparse.ArgumentParser]) -> None:
     _fix_options(parser)
     _save_option(parser)
     _robot_option(parser)
+    _topics_option(parser)
     _common(parser, "data", "json", "out")
 
 
@@ -157,6 +158,7 @@ def _localise(commands: Commands[argparse.ArgumentParser]) -> None:
     _fix_options(parser)
     _save_option(parser)
     _robot_option(parser)
+    _topics_option(parser)
     _common(parser, "data", "json", "out")
 
 
@@ -189,6 +191,7 @@ def _compare(commands: Commands[argparse.ArgumentParser]) -> None:
     )
     _fix_options(parser)
     _robot_option(parser)
+    _topics_option(parser)
     _common(parser, "data", "json", "out")
 
 
@@ -224,6 +227,7 @@ def _datasets(commands: Commands[argparse.ArgumentParser]) -> None:
     _common(listing, "data", "json")
     info = _command(inner, "info", "what a drive holds")
     info.add_argument("drive", metavar="DRIVE", help=DRIVE)
+    _topics_option(info)
     _common(info, "data", "json")
     fetch = _command(inner, "fetch", "download a dataset from its public origin, checked")
     fetch.add_argument("name", metavar="NAME", help="a dataset's name, see `fgloc datasets list`")
@@ -237,6 +241,7 @@ def _datasets(commands: Commands[argparse.ArgumentParser]) -> None:
     )
     convert.add_argument("drive", metavar="DRIVE", help=DRIVE)
     convert.add_argument("file", metavar="FILE", type=Path, help="target; ends in .npz or .csv")
+    _topics_option(convert)
     _common(convert, "data")
 
 
@@ -299,6 +304,16 @@ def _robot_option(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         type=Path,
         help="TOML file with values, priors and noise of the robot",
+    )
+
+
+def _topics_option(parser: argparse.ArgumentParser) -> None:
+    """Add --topics."""
+    parser.add_argument(
+        "--topics",
+        metavar="FILE",
+        type=Path,
+        help="TOML file that says which topic of a ROS bag is what (default: guessed)",
     )
 
 

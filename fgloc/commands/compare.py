@@ -94,6 +94,7 @@ def compare_with_progress(
             robot_file=args.robot,
             integrator=integrator,
             data=args.data,
+            topics_file=args.topics,
             progress=tell,
             estimators=estimators,
             ekf_file=ekf_file,
@@ -139,6 +140,7 @@ def _common(args: argparse.Namespace) -> dict[str, Any]:
         "fixes": args.fixes,
         "seed": args.seed,
         "robot": None if args.robot is None else str(args.robot),
+        "topics": None if args.topics is None else str(args.topics),
         "data": None if args.data is None else str(args.data),
     }
 
