@@ -62,7 +62,7 @@ def wheel_sides(base: WheeledBase) -> dict[str, list[int]]:
     if not half:
         raise FglocError(
             "encoder selection needs a base whose wheels on a side turn alike (differential, "
-            f"skid-steer); a {base.kind} base is not one"
+            f"skid-steer); this one is {base.kind}"
         )
     names = base.driven_names
     return {

@@ -229,7 +229,7 @@ def track_parameter(base: WheeledBase, method: str) -> Parameter:
             return parameter
     raise FglocError(
         f"{method} needs a base with an effective track (differential, skid-steer); "
-        f"a {base.kind} base has none"
+        f"this one is {base.kind}"
     )
 
 

@@ -93,7 +93,7 @@ def test_encoder_selection_reaches_every_command(
     settings = (tmp_path / "runs" / "latest" / "settings.json").read_text()
     assert json.loads(settings)["encoder_selection"] is True
     assert main(["compare", "sim:square?robot=mecanum", "--encoder-selection"]) == 1
-    assert "a mecanum base is not one" in capsys.readouterr().err.splitlines()[-1]
+    assert "this one is mecanum" in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_a_checkpoint_does_not_go_on_with_other_encoders(

@@ -163,8 +163,8 @@ def test_accelerometer_noise_flips_the_rule_at_constant_speed() -> None:
             bases.skid_steer(("a", "b"), ("c",), 0.1, 0.5),
             "two or more encoders on each side, the right side has 1",
         ),
-        (bases.mecanum(0.05, 0.2, 0.2, ("fl", "fr", "rl", "rr")), "a mecanum base is not one"),
-        (bases.tricycle(0.1, 0.8), "a tricycle base is not one"),
+        (bases.mecanum(0.05, 0.2, 0.2, ("fl", "fr", "rl", "rr")), "this one is mecanum"),
+        (bases.tricycle(0.1, 0.8), "this one is tricycle"),
     ],
 )
 def test_where_it_cannot_be_done(base: WheeledBase, message: str) -> None:
