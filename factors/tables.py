@@ -167,7 +167,7 @@ class FactorTable:
         # Compiled code does not check bounds: a missing column would be read from elsewhere.
         least = ROW[self.kind]
         if self.kind in (Kind.WHEEL, Kind.WHEEL_SLIP):
-            least += 4 * (self.calibration.stop - self.calibration.start)
+            least += 3 * (self.calibration.stop - self.calibration.start)
         elif self.kind == Kind.WHEEL_REDUNDANCY:
             least = 2 + self.dimension
         elif self.kind == Kind.STATE_PRIOR:
