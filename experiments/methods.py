@@ -35,6 +35,12 @@ def _model2(integrator: Integrator) -> Estimator:
     return Model2()
 
 
+def _model3(integrator: Integrator) -> Estimator:
+    from fgloc.filters.model3 import Model3
+
+    return Model3()
+
+
 def _batch(integrator: Integrator) -> Estimator:
     # Imported here because it brings GTSAM, which Models 1 and 2 do without.
     from fgloc.smoothing.batch import BatchSmoother
@@ -51,7 +57,7 @@ def _online(integrator: Integrator) -> Estimator:
 METHODS: tuple[Method, ...] = (
     Method("model1", "wheels only, nominal parameters", _model1),
     Method("model2", "distance from wheels, heading from the yaw sensor", _model2),
-    Method("model3", "unscented filter of pose and effective track", None),
+    Method("model3", "unscented filter of pose and effective track", _model3),
     Method("pose-ekf", "extended Kalman filter of the pose", None),
     Method("ekf-slam", "extended Kalman filter of pose and landmarks", None),
     Method("batch", "factor graph over the whole drive, with calibration", _batch),
