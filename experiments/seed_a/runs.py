@@ -1,0 +1,182 @@
+"""Methods on seed A's simulated drives: one job is one case of one scenario over some seeds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from fgloc.core.trajectory import Trajectory
+
+SMOOTHED_TRACK = 0.48
+"""Track [m] that methods which estimate it start from, with the prior of a skid-steer base."""
+YAW_STEP = 0.01
+"""Resolution of the yaw [rad]."""
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """One method as it takes part."""
+
+    id: str
+    """Column key."""
+    title: str
+    """Heading."""
+    method: str
+    """Method id."""
+    starts_wrong: bool = True
+    """True: the nominal track is 0.48 m in every case. False: the case's own, as Models 1 and 2
+    have it in the seed."""
+    settings: Any = None
+    """Settings in place of the defaults, for Model 3."""
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One kind of drive, in all three cases."""
+
+    key: str
+    """Name in tables of results."""
+    drive: str
+    """Name of the drive behind its case, e.g. "slip20"."""
+    query: str = ""
+    """Further keys of the drive, e.g. "camera=on"."""
+    seeds: int = 1
+    """Number of seeds; 1 for a drive without noise."""
+    selection: bool = False
+    """Whether the encoders of each side are selected (equations 3.3 to 3.6)."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """Some seeds of one case of one scenario."""
+
+    scenario: Scenario
+    """What is driven."""
+    case: str
+    """Which motion."""
+    seeds: tuple[int, ...]
+    """Seeds of this job."""
+    entrants: tuple[Entrant, ...]
+    """Methods."""
+
+
+@dataclass(frozen=True)
+class End:
+    """What one method made of one drive."""
+
+    position_m: float
+    """Distance from the truth at the end [m]; NaN if the method failed."""
+    heading_deg: float
+    """Absolute heading error at the end, unwrapped [deg]."""
+    track: float | None = None
+    """Estimated effective track [m], for methods that estimate it."""
+    track_sigma: float | None = None
+    """Its standard deviation [m]."""
+    seconds: float = 0.0
+    """Time taken."""
+    failure: str = ""
+    """Why the method failed; empty if it did not."""
+    trajectory: Trajectory | None = None
+    """The path, of drives without noise."""
+
+
+Ends = dict[tuple[str, str, str], list[End]]
+"""What was found, by scenario, case and entrant; one for each seed."""
+
+
+def drive_id(scenario: Scenario, case: str, seed: int, nominal_track: float | None) -> str:
+    """Return the id of a drive, as any command takes it.
+
+    In noisy scenarios the yaw's zero is drawn evenly within its resolution: the seed does not
+    say when, within its seven seconds, the first step of the drift comes.
+    """
+    import numpy as np
+
+    items = [scenario.query] if scenario.query else []
+    if scenario.seeds > 1:
+        zero = float(np.random.default_rng(seed).uniform(-0.5, 0.5)) * YAW_STEP
+        items += [f"seed={seed}", f"yaw_zero={zero:.6f}"]
+    if nominal_track is not None:
+        items.append(f"nominal_track={nominal_track:g}")
+    query = "?" + "&".join(items) if items else ""
+    return f"sim:seed-a-{case}-{scenario.drive}{query}"
+
+
+def build(entrant: Entrant) -> Any:
+    """Return the estimator; Model 1 takes the seed's midpoint step."""
+    from fgloc.experiments.methods import create
+
+    if entrant.settings is not None:
+        from fgloc.filters.model3 import Model3
+
+        return Model3(entrant.settings)
+    return create(entrant.method, integrator="midpoint")
+
+
+def run_job(job: Job) -> dict[str, list[End]]:
+    """Return what every entrant makes of every seed of a job."""
+    found: dict[str, list[End]] = {}
+    for entrant in job.entrants:
+        estimator = build(entrant)
+        found[entrant.id] = [
+            _run(estimator, job, seed, SMOOTHED_TRACK if entrant.starts_wrong else None)
+            for seed in job.seeds
+        ]
+    return found
+
+
+def _run(estimator: Any, job: Job, seed: int, nominal_track: float | None) -> End:
+    """Return what an estimator makes of one drive."""
+    from fgloc.core.evaluation import error_series
+    from fgloc.datasets.registry import load_drive
+    from fgloc.errors import FglocError
+    from fgloc.estimator import run
+
+    drive = load_drive(drive_id(job.scenario, job.case, seed, nominal_track))
+    if job.scenario.selection:
+        from fgloc.core.encoder_selection import select_encoders
+
+        drive = select_encoders(drive)
+    assert drive.truth is not None
+    try:
+        result = run(estimator, drive)
+    except FglocError as error:
+        return End(math.nan, math.nan, failure=str(error))
+    x, y, heading = error_series(result.trajectory, drive.truth).errors[-1].tolist()
+    track = next((c for c in result.calibration if c.name == "effective_track"), None)
+    return End(
+        math.hypot(x, y),
+        abs(math.degrees(heading)),
+        None if track is None else track.value,
+        None if track is None else track.sigma,
+        result.seconds,
+        trajectory=result.trajectory if job.scenario.seeds == 1 else None,
+    )
+
+
+def split(
+    scenario: Scenario, case: str, seeds: range, entrants: tuple[Entrant, ...], size: int
+) -> list[Job]:
+    """Return the jobs of one case of a scenario, at most `size` seeds each."""
+    chosen = tuple(seeds) if scenario.seeds > 1 else (1,)
+    return [
+        Job(scenario, case, chosen[k : k + size], entrants) for k in range(0, len(chosen), size)
+    ]
+
+
+def gather(jobs: list[Job], results: list[dict[str, list[End]]]) -> Ends:
+    """Return what all jobs found, the seeds of each case in order."""
+    ends: Ends = {}
+    for job, result in zip(jobs, results, strict=True):
+        for entrant, found in result.items():
+            ends.setdefault((job.scenario.key, job.case, entrant), []).extend(found)
+    return ends
+
+
+def describe(job: Job) -> str:
+    """Return what a job was, for a line of progress."""
+    text = f"{job.scenario.key} {job.case}"
+    if job.scenario.seeds > 1:
+        text += f" seeds {job.seeds[0]} to {job.seeds[-1]}"
+    return text
