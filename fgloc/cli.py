@@ -108,6 +108,7 @@ def _smooth(commands: Commands[argparse.ArgumentParser]) -> None:
     _fix_options(parser)
     _save_option(parser)
     _robot_option(parser)
+    _selection_option(parser)
     _common(parser, "data", "json", "out")
 
 
@@ -158,6 +159,7 @@ def _localise(commands: Commands[argparse.ArgumentParser]) -> None:
     _fix_options(parser)
     _save_option(parser)
     _robot_option(parser)
+    _selection_option(parser)
     _common(parser, "data", "json", "out")
 
 
@@ -183,6 +185,7 @@ def _compare(commands: Commands[argparse.ArgumentParser]) -> None:
     )
     _fix_options(parser)
     _robot_option(parser)
+    _selection_option(parser)
     _common(parser, "data", "json", "out")
 
 
@@ -325,6 +328,15 @@ def _robot_option(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         type=Path,
         help="TOML file with values, priors and noise of the robot",
+    )
+
+
+def _selection_option(parser: argparse.ArgumentParser) -> None:
+    """Add --encoder-selection."""
+    parser.add_argument(
+        "--encoder-selection",
+        action="store_true",
+        help="of the encoders on a side believe one: the slowest, or the fastest when braking",
     )
 
 
