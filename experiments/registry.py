@@ -9,7 +9,8 @@ from fgloc.errors import FglocError
 from fgloc.experiments.experiment import Experiment
 
 MODULES: dict[str, str] = {
-    "seed-a-simulation": "fgloc.experiments.seed_a_simulation",
+    "seed-a-simulation": "fgloc.experiments.seed_a.simulation",
+    "seed-a-vehicle": "fgloc.experiments.seed_a.vehicle",
 }
 """Modules with a constant EXPERIMENT, by the experiment's id, in the order of the list."""
 

@@ -38,7 +38,7 @@ class Scenario:
     key: str
     """Name in tables of results."""
     drive: str
-    """Name of the drive behind its case, e.g. "slip20"."""
+    """Name of the drive with {case} in place of the case, e.g. "seed-a-{case}-slip20"."""
     query: str = ""
     """Further keys of the drive, e.g. "camera=on"."""
     seeds: int = 1
@@ -81,8 +81,21 @@ class End:
     """The path, of drives without noise."""
 
 
+TITLES = {"model1": "Model 1", "model2": "Model 2", "model3": "Model 3"}
+"""Headings; other methods have their id."""
+OWN_TRACK = ("model1", "model2")
+"""Methods that are given the track of each case."""
 Ends = dict[tuple[str, str, str], list[End]]
 """What was found, by scenario, case and entrant; one for each seed."""
+
+
+def entrants(*wanted: str) -> tuple[Entrant, ...]:
+    """Return the entrants of those methods that this version has, in the order given."""
+    from fgloc.experiments.methods import available
+
+    return tuple(
+        Entrant(m, TITLES.get(m, m), m, m not in OWN_TRACK) for m in wanted if m in available()
+    )
 
 
 def drive_id(scenario: Scenario, case: str, seed: int, nominal_track: float | None) -> str:
@@ -100,7 +113,7 @@ def drive_id(scenario: Scenario, case: str, seed: int, nominal_track: float | No
     if nominal_track is not None:
         items.append(f"nominal_track={nominal_track:g}")
     query = "?" + "&".join(items) if items else ""
-    return f"sim:seed-a-{case}-{scenario.drive}{query}"
+    return f"sim:{scenario.drive.format(case=case)}{query}"
 
 
 def build(entrant: Entrant) -> Any:
