@@ -17,7 +17,13 @@ from fgloc.factors.kernels.heading import yaw, yaw_rate, zero_prior, zero_walk
 from fgloc.factors.kernels.lidar import range_bearing, wall
 from fgloc.factors.kernels.motion import calibration_walk, zero_velocity
 from fgloc.factors.kernels.prior import state_prior
-from fgloc.factors.kernels.slip import slip_prior, slip_side, slip_walk, wheel_slip
+from fgloc.factors.kernels.slip import (
+    slip_prior,
+    slip_side,
+    slip_walk,
+    wheel_redundancy,
+    wheel_slip,
+)
 from fgloc.factors.kernels.wheel import wheel_odometry
 from fgloc.factors.robust import PLAIN, Loss
 
@@ -42,6 +48,7 @@ class Kind(IntEnum):
     SLIP_PRIOR = 14
     SLIP_WALK = 15
     SLIP_SIDE = 16
+    WHEEL_REDUNDANCY = 17
 
 
 KERNELS: dict[Kind, Callable[..., None]] = {
@@ -62,6 +69,7 @@ KERNELS: dict[Kind, Callable[..., None]] = {
     Kind.SLIP_PRIOR: slip_prior,
     Kind.SLIP_WALK: slip_walk,
     Kind.SLIP_SIDE: slip_side,
+    Kind.WHEEL_REDUNDANCY: wheel_redundancy,
 }
 """The kernels by kind, for tests and for single factors; the compiled loop dispatches itself."""
 
@@ -83,9 +91,10 @@ COMPONENTS: dict[Kind, tuple[str, ...]] = {
     Kind.SLIP_PRIOR: ("slip [1]",),
     Kind.SLIP_WALK: ("change of slip [1]",),
     Kind.SLIP_SIDE: ("slip on the unlikely side [1]",),
+    Kind.WHEEL_REDUNDANCY: (),
 }
-"""Leading residual components with units; all of them but for STATE_PRIOR and CALIBRATION_WALK,
-whose number depends on the state."""
+"""Leading residual components with units; all of them but for STATE_PRIOR, CALIBRATION_WALK and
+WHEEL_REDUNDANCY, whose number depends on the state or the wheels."""
 
 ROW: dict[Kind, int] = {
     Kind.WHEEL: 3,
@@ -105,8 +114,9 @@ ROW: dict[Kind, int] = {
     Kind.SLIP_PRIOR: 0,
     Kind.SLIP_WALK: 1,
     Kind.SLIP_SIDE: 1,
+    Kind.WHEEL_REDUNDANCY: 1,
 }
-"""Fewest numbers in a measurement row; wheels add 3 a calibration variable, priors have 2 (B+G)."""
+"""Fewest numbers in a measurement row; wheels add 4 a calibration variable, priors have 2 (B+G)."""
 
 PAIRWISE = frozenset(
     {
@@ -118,6 +128,7 @@ PAIRWISE = frozenset(
         Kind.ZERO_VELOCITY,
         Kind.WHEEL_SLIP,
         Kind.SLIP_WALK,
+        Kind.WHEEL_REDUNDANCY,
     }
 )
 """Kinds that join state `first` (a keyframe, or a calibration segment) and the one after it."""
@@ -156,7 +167,9 @@ class FactorTable:
         # Compiled code does not check bounds: a missing column would be read from elsewhere.
         least = ROW[self.kind]
         if self.kind in (Kind.WHEEL, Kind.WHEEL_SLIP):
-            least += 3 * (self.calibration.stop - self.calibration.start)
+            least += 4 * (self.calibration.stop - self.calibration.start)
+        elif self.kind == Kind.WHEEL_REDUNDANCY:
+            least = 2 + self.dimension
         elif self.kind == Kind.STATE_PRIOR:
             least = 2 * self.dimension
         if self.measurements.shape[1] < least:
@@ -295,8 +308,10 @@ def evaluate_kernel(
         slip_prior(xi, xj, g, m, slot, r, ji, jj, jg)
     elif kind == 15:
         slip_walk(xi, xj, g, m, slot, r, ji, jj, jg)
-    else:
+    elif kind == 16:
         slip_side(xi, xj, g, m, slot, r, ji, jj, jg)
+    else:
+        wheel_redundancy(xi, xj, g, m, slot, r, ji, jj, jg)
 
 
 @compiled

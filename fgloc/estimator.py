@@ -103,6 +103,22 @@ class SensorCount:
 
 
 @dataclass(frozen=True)
+class WheelSlip:
+    """One wheel that slipped for a while."""
+
+    wheel: str
+    """Name of the wheel."""
+    begin_ns: int
+    """Begin [ns]."""
+    end_ns: int
+    """End [ns]."""
+    slip: float
+    """Mean slip: 1 - way over ground / way rolled; below 0 where the wheel dragged."""
+    sigma: float
+    """Mean posterior standard deviation of the slip."""
+
+
+@dataclass(frozen=True)
 class Spread:
     """What many times were [s]."""
 
@@ -164,6 +180,8 @@ class Result:
     """What a user should know about this estimate."""
     live: Live | None = None
     """How it kept up; None for methods that see the whole drive at once."""
+    slips: tuple[WheelSlip, ...] = ()
+    """Which wheels slipped when, in order of time; empty for methods that do not model slip."""
     calibration_covariance: Floats | None = None
     """(G, G) covariance of `calibration` in its order and physical units; None if unknown."""
 

@@ -13,12 +13,13 @@ spin with +40 counts; exact arcs would give 0.1273 m).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fgloc.core.drive import Drive, Reference
 from fgloc.core.measurements import WheelIncrements
+from fgloc.core.robot import Robot, WheelNoise
 from fgloc.core.trajectory import Trajectory
 from fgloc.datasets.simulator.course import Course
 from fgloc.datasets.simulator.faults import Slip, apply_slip, describe
@@ -77,6 +78,12 @@ SCENARIOS: dict[str, tuple[Slip, ...]] = {
 NOISY = ("noise", "slip20noise")
 """Scenarios whose encoders and yaw are noisy."""
 
+NOISE = WheelNoise(rolling=0.006, lateral=0.006, turning=0.003)
+"""What the drives state as their wheels' noise: the process noise of the seed's own filter, 1 mm
+along and 3.2 mrad in heading a packet, at the packets of these motions (0.11 m, 0.3 rad)."""
+RADIUS_SIGMA = 0.0005 / math.sqrt(3.0)
+"""Prior sigma of the wheel radius [m]: 0.135 m is exact but for its last printed digit."""
+
 IDEAL_YAW = YawModel(rate=5.0, sigma=0.0, resolution=0.0, drift=0.0, walk=0.0)
 """Yaw of all other scenarios: the true heading at every packet."""
 NOISY_YAW = YawModel(rate=5.0, sigma=0.0, resolution=0.01, drift=DRIFT, walk=0.0)
@@ -111,8 +118,8 @@ def build_drive(spec: SimSpec, name: str) -> Drive:
     displacements[:, 2] = metres * (right - left) / case.track
     course = Course.follow(displacements, PACKET_NS)
 
-    model = jaguar(spec.nominal_track if spec.nominal_track is not None else case.track)
-    base = model.robot.base
+    robot = _robot(spec.nominal_track if spec.nominal_track is not None else case.track)
+    base = robot.base
     counts = np.stack([left, right, left, right], axis=1)
     slips = SCENARIOS[scenario]
     angles = apply_slip(counts * TICK, course.boundaries_ns, base.driven_names, slips)
@@ -122,7 +129,7 @@ def build_drive(spec: SimSpec, name: str) -> Drive:
     values = {p.name: p.nominal for p in base.parameters} | {"effective_track": case.track}
     return Drive(
         name,
-        model.robot,
+        robot,
         WheelIncrements("wheels", course.boundaries_ns, angles, base.driven_names, None, TICK),
         sensors,
         Reference(Trajectory(course.boundaries_ns, course.poses), "truth", (1e-4, 1e-4, 1e-4)),
@@ -130,3 +137,13 @@ def build_drive(spec: SimSpec, name: str) -> Drive:
         notes=describe(slips),
         true_calibration=values | mounts,
     )
+
+
+def _robot(nominal_track: float) -> Robot:
+    """Return the Jaguar as the seed describes it: radius as printed, noise as in its filter."""
+    robot = jaguar(nominal_track).robot
+    parameters = tuple(
+        replace(p, prior_sigma=RADIUS_SIGMA) if p.name.startswith("wheel_radius.") else p
+        for p in robot.base.parameters
+    )
+    return replace(robot, base=replace(robot.base, parameters=parameters), noise=NOISE)

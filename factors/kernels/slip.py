@@ -33,19 +33,62 @@ def wheel_slip(
 ) -> None:
     """Residual between xi⁻¹ ∘ xj and D + J g + E s, what wheels predict that slip by s.
 
-    m = [D (3), J (3 × G row by row), E (3 × S row by row)]: displacement, its derivative by the
-    calibration in solver units and by the slips, columns `slot` to slot + S of xj.
+    m = [D (3), J (3 × G row by row), c (G), E (3 × S row by row)]: displacement, its derivative
+    by the calibration in solver units, what makes the way larger (see `wheel_odometry`), and the
+    derivative by the slips, columns `slot` to slot + S of xj.
     """
     wheel_odometry(xi, xj, g, m, slot, r, ji, jj, jg)
-    start = 3 + 3 * g.size
+    start = 3 + 4 * g.size
     n = (m.size - start) // 3
+    size = 0.0
+    for k in range(g.size):
+        size += m[3 + 3 * g.size + k] * g[k]
+    shrink = np.exp(-size)
     for a in range(3):
+        unit = shrink if a < 2 else 1.0
         for k in range(n):
-            d = m[start + a * n + k]
+            d = m[start + a * n + k] * unit
             r[a] -= d * xj[slot + k]
             jj[a, slot + k] = -d
+            if a < 2:
+                for i in range(g.size):
+                    jg[a, i] += m[3 + 3 * g.size + i] * d * xj[slot + k]
     # Slip takes turn away; wrap again, as the first wrap did not know of it.
     r[2] = wrap_scalar(r[2])
+
+
+@compiled
+def wheel_redundancy(
+    xi: Floats,
+    xj: Floats,
+    g: Floats,
+    m: Floats,
+    slot: int,
+    r: Floats,
+    ji: Floats,
+    jj: Floats,
+    jg: Floats,
+) -> None:
+    """Residual C·w: by how much wheels contradict each other that roll w = way·exp(g)·(1 - s).
+
+    m = [C (n × W row by row), way (W), index (W)]: the conditions that ways over ground fulfil,
+    what each wheel rolled in the interval that ends at xj at the nominal radius [m], and which of
+    g is the logarithm of its radius over nominal (-1 for none); slips are columns `slot` to
+    slot + W of xj.
+    """
+    n = r.size
+    wheels = m.size // (n + 2)
+    for w in range(wheels):
+        index = int(m[(n + 1) * wheels + w])
+        rolled = m[n * wheels + w]
+        if index >= 0:
+            rolled *= np.exp(g[index])
+        for a in range(n):
+            c = m[a * wheels + w] * rolled
+            r[a] += c * (1.0 - xj[slot + w])
+            jj[a, slot + w] = -c
+            if index >= 0:
+                jg[a, index] += c * (1.0 - xj[slot + w])
 
 
 @compiled

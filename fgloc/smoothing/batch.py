@@ -15,6 +15,7 @@ from fgloc.factors.tables import COMPONENTS, residuals
 from fgloc.smoothing.optimise import Solution
 from fgloc.smoothing.problem import HIDDEN, Problem
 from fgloc.smoothing.settings import Settings
+from fgloc.smoothing.slip import slip_intervals, slip_notes
 from fgloc.smoothing.trust import STRAINED, solve_with_trust, strain
 
 AT_ODDS = 0.2
@@ -65,7 +66,8 @@ def _result(
     used = tuple(name for name, (count, _) in problem.counts.items() if count > 0)
     sizes = {s.sensor: s.stamps_ns.size for s in drive.sensors}
     unused = {name: SensorCount(0, 0, sizes[name]) for name in left_out}
-    notes = [*problem.notes, *left_out.values()]
+    slips = slip_intervals(problem, solution)
+    notes = [*problem.notes, *left_out.values(), *slip_notes(problem, slips)]
     missed = strain(solution)
     if missed > STRAINED:
         notes.append(
@@ -92,6 +94,7 @@ def _result(
         residuals=_residuals(problem, solution),
         counts={**counts, **unused},
         convergence=_convergence(solution),
+        slips=slips,
         notes=tuple(notes),
         calibration_covariance=calibration_covariance,
     )

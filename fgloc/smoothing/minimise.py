@@ -126,6 +126,7 @@ def roll_out(point: Point, step: ArrowSolution, wheels: FactorTable) -> Floats:
         point.u[:free] + step.calibration_step[:free],
         step.step,
         step.calibration_step[:free],
+        wheels.slot,
         moved,
     )
     return moved
@@ -142,14 +143,16 @@ def _drive(
     at: Floats,
     step: Floats,
     calibration_step: Floats,
+    slot: int,
     states: Floats,
 ) -> None:
     """Write the poses in `states` (K, B) one after the other, beginning with the first one.
 
     The arguments are those of the wheels' table: its linearisation, lower triangular whitening,
-    and measurements at the new calibration `at`.
+    and measurements at the new calibration `at`; slips, from column `slot`, are in `states`.
     """
     b, f = step.shape[1], at.size
+    slips = (measurements.shape[1] - 3 - 4 * f) // 3 if slot >= 0 else 0
     left = np.empty(3)
     for k in range(residual.shape[0]):
         for a in range(3):
@@ -162,10 +165,18 @@ def _drive(
             for c in range(a):
                 v -= whitening[k, a, c] * left[c]
             left[a] = v / whitening[k, a, a]
+        size = 0.0
+        for c in range(f):
+            size += measurements[k, 3 + 3 * f + c] * at[c]
+        # The residual of the way is in wheel sizes.
+        left[0] *= np.exp(size)
+        left[1] *= np.exp(size)
         for a in range(3):
             left[a] += measurements[k, a]
             for c in range(f):
                 left[a] += measurements[k, 3 + a * f + c] * at[c]
+            for c in range(slips):
+                left[a] += measurements[k, 3 + 4 * f + a * slips + c] * states[k + 1, slot + c]
         # Only the pose: a sensor's drifting zero, further on in the state, moves by its own step.
         compose_scalar(states[k], left, states[k + 1])
 
@@ -182,12 +193,12 @@ def minimise(
     prior = CalibrationPrior.of(problem) if prior is None else prior
     tables = problem.tables if robust else tuple(without_loss(t) for t in problem.tables)
 
-    def wheel_table(at: Floats) -> FactorTable:
-        table = problem.wheel_table(at, whitening)
+    def wheel_table(at: Floats, states: Floats) -> FactorTable:
+        table = problem.wheel_table(at, whitening, states)
         return table if robust else without_loss(table)
 
     whitening: Floats | None = None
-    wheels = wheel_table(u)
+    wheels = wheel_table(u, states)
     # The weights of one run stay those of its first linearisation: costs must be comparable.
     whitening = wheels.sqrt_information
     point = _evaluate(prior, states, u, tables, wheels)
@@ -197,7 +208,8 @@ def minimise(
         trial = None
         if step is not None and np.abs(step.calibration_step).max(initial=0.0) < 2.0:
             at = point.u + step.calibration_step
-            table = wheel_table(at)
+            # Of the states only slips matter here, and these are simply added up.
+            table = wheel_table(at, point.states + step.step)
             for move in (roll_out, retract):
                 trial = _evaluate(prior, move(point, step, table), at, tables, table)
                 if trial.cost < point.cost:

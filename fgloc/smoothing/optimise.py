@@ -77,10 +77,23 @@ def optimise(problem: Problem, settings: Settings) -> Solution:
     if not converged:
         reached = last >= settings.max_iterations
         stopped = "the iteration limit was reached" if reached else "no step lowers the cost"
-    minimum = point
+    return finish(problem, settings, point, iterations, converged, stopped)
+
+
+def finish(
+    problem: Problem,
+    settings: Settings,
+    minimum: Point,
+    iterations: int,
+    converged: bool,
+    stopped: str,
+) -> Solution:
+    """Return the solution at a minimum: less the bias of rounded counts, with covariances.
+
+    Raises FglocError if the system is indeterminate there.
+    """
     point, more = without_rounding_bias(problem, settings, minimum)
-    iterations += more
-    solution = Solution(point, iterations, converged, stopped)
+    solution = Solution(point, iterations + more, converged, stopped)
     if not settings.covariances:
         return solution
     prior = CalibrationPrior.of(problem)

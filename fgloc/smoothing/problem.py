@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -14,12 +15,24 @@ from fgloc.core.measurements import Floats, Stamps
 from fgloc.core.preintegration import Preintegrated, SplitIncrements, preintegrate
 from fgloc.core.robot import Robot
 from fgloc.factors.robust import PLAIN, Loss
+from fgloc.factors.slip import slip_effect
 from fgloc.factors.tables import FactorTable, Kind
 
 FIXES = (Kind.POSITION_FIX, Kind.POSE_FIX)
 """Factors that tell where the robot is in the map."""
-HIDDEN = (Kind.ZERO_WALK, Kind.ZERO_PRIOR, Kind.STATE_PRIOR)
+HIDDEN = (
+    Kind.ZERO_WALK,
+    Kind.ZERO_PRIOR,
+    Kind.STATE_PRIOR,
+    Kind.WHEEL_REDUNDANCY,
+    Kind.SLIP_PRIOR,
+    Kind.SLIP_SIDE,
+    Kind.SLIP_WALK,
+)
 """Tables that are a sensor's model or a prior, not measurements."""
+SPINNING = 0.95
+"""Slip up to which a displacement is followed exactly: a wheel that spins on the spot tells of
+nothing, not even by how little its slip could be less."""
 
 
 def physical_values(
@@ -63,6 +76,8 @@ class Problem:
     """(K-1, 2) how far they may be off: variance [rad²] that adds up, sigma [rad] of one sign."""
     notes: tuple[str, ...] = ()
     """What the user should know of how the graph was built."""
+    slip_slot: int = -1
+    """First of the state columns of the driven wheels' slips; -1 where none are modelled."""
 
     def values(self, u: Floats) -> Floats:
         """Return the robot's physical parameter values at solver variables u (G,)."""
@@ -72,6 +87,12 @@ class Problem:
     def prior_covariance(self) -> Floats:
         """Return the (G, G) covariance of the calibration prior in solver variables."""
         return prior_covariance(self.parameters)
+
+    @cached_property
+    def size_gradient(self) -> Floats:
+        """Return (F,) by how much the free parameters' solver variables make the wheels larger."""
+        scale = np.array([p.derivative(0.0) for p in self.parameters[: len(self.free)]])
+        return np.asarray(self.robot.base.size_gradient()[list(self.free)] * scale)
 
     def fix_keyframes(self) -> Stamps:
         """Return the sorted keyframe indices that have an absolute fix, the start included."""
@@ -131,29 +152,43 @@ class Problem:
         """Return the wheels' (K-1, 3) displacements at calibration u."""
         return preintegrate(self.split, self.robot, self.values(u)).displacement
 
-    def wheel_table(self, u: Floats, whitening: Floats | None = None) -> FactorTable:
+    def wheel_table(
+        self, u: Floats, whitening: Floats | None = None, states: Floats | None = None
+    ) -> FactorTable:
         """Integrate the wheels at the calibration u and return their factor table.
 
-        `whitening` (K-1, 3, 3) keeps the weights of an earlier table, so that costs compare.
+        `whitening` (K-1, 3, 3) keeps the weights of an earlier table, so that costs compare. Where
+        slips are modelled, they are those of `states` (K, B), or of the problem's own.
         """
-        pre = preintegrate(self.split, self.robot, self.values(u))
+        slips = len(self.robot.base.driven) if self.slip_slot >= 0 else 0
+        if not slips:
+            pre = preintegrate(self.split, self.robot, self.values(u))
+        else:
+            at = (self.states if states is None else states)[1:, self.slip_slot :][:, :slips]
+            at = np.minimum(at, SPINNING)
+            pre, effect = slip_effect(self.split, self.robot, self.values(u), at)
         n, f = pre.displacement.shape[0], len(self.free)
         scale = np.array([self.parameters[k].derivative(float(u[k])) for k in range(f)])
         everything = f == pre.jacobian.shape[2]
         by_value = pre.jacobian if everything else pre.jacobian[:, :, list(self.free)]
-        rows = np.empty((n, 3 + 3 * f))
-        jacobian = rows[:, 3:].reshape(n, 3, f)  # a view: one axis is cut in two
+        rows = np.empty((n, 3 + 4 * f + 3 * slips))
+        jacobian = rows[:, 3 : 3 + 3 * f].reshape(n, 3, f)  # a view: one axis is cut in two
         np.multiply(by_value, scale, out=jacobian)
-        # The kernel predicts D + J u; shift D so that it is exact at the present u.
+        # The kernel predicts D + J u + E s; shift D so that it is exact at the present u and s.
         np.subtract(pre.displacement, jacobian @ u[:f], out=rows[:, :3])
+        rows[:, 3 + 3 * f : 3 + 4 * f] = self.size_gradient
+        if slips:
+            rows[:, 3 + 4 * f :] = effect.reshape(n, -1)
+            rows[:, :3] -= np.einsum("kaw,kw->ka", effect, at)
         return FactorTable(
-            Kind.WHEEL,
+            Kind.WHEEL_SLIP if slips else Kind.WHEEL,
             "wheels",
             np.arange(n, dtype=np.int64),
             rows,
             self.whitening(pre) if whitening is None else whitening,
             slice(0, f),
             self.wheel_loss,
+            self.slip_slot,
         )
 
     @staticmethod

@@ -35,12 +35,13 @@ NEGLIGIBLE = 1e-4
 def without_rounding_bias(problem: Problem, settings: Settings, point: Point) -> tuple[Point, int]:
     """Return the minimum `point` less the bias of rounded counts, and the steps tried.
 
-    The point itself where encoders are continuous or fine, where wheels are all there is, or where
-    the noisier problem has no minimum near by. Otherwise two minimisations from the point: a few
+    The point itself where encoders are continuous or fine, where wheels are all there is, where
+    the noisier problem has no minimum near by, or where slips are modelled: they take up what
+    rounding does to an increment. Otherwise two minimisations from the point: a few
     iterations, O(K) each.
     """
     alone = all(t.sensor == "start" for t in problem.tables)
-    if alone or attenuation(problem) < NEGLIGIBLE:
+    if alone or problem.slip_slot >= 0 or attenuation(problem) < NEGLIGIBLE:
         return point, 0
     errors = draw_errors(problem.split, np.random.default_rng(0))
     off_poses, off_rest = np.zeros_like(point.states[:, :3]), np.zeros_like(point.states[:, 3:])

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from fgloc.factors.robust import Loss
+from fgloc.factors.slip import SlipModel
 
 SLIPS = Loss("cauchy", 2.0)
 """For wheels: a slipping interval must be given up, or it pulls on the calibration for ever."""
@@ -13,6 +14,9 @@ DISTURBED = Loss("huber", 3.0)
 """For headings: wrong for a while in a magnetic disturbance, but seldom wildly."""
 STRAYS = Loss("cauchy", 4.0)
 """For sensors with single wild readings: lost tracking, reflections, wrong matches."""
+
+USUAL_SLIP = SlipModel()
+"""Slip that comes seldom, lasts for seconds and is overspeed where wheels are driven."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,9 @@ class Settings:
     graduated: bool = True
     """Where robust losses gave up many fixes or tore the wheels, look again by graduated
     non-convexity; costs nothing elsewhere."""
+    slip: SlipModel | None = USUAL_SLIP
+    """Where wheels contradict each other or the other sensors, look for wheels that slip, with
+    this prior; None: never."""
     max_iterations: int = 50
     """Limit of linearisations in each of the two phases (plain, then robust)."""
     tolerance: float = 1e-6

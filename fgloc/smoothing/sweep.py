@@ -40,7 +40,9 @@ def _turns(problem: Problem, u: Floats, sigma: Floats) -> tuple[Floats, Floats, 
     wheels = problem.wheel_table(u)
     free = wheels.calibration.stop
     unknown = np.isnan(problem.turn)
-    by_calibration = np.cumsum(wheels.measurements[:, 3 + 2 * free :] * unknown[:, None], axis=0)
+    by_calibration = np.cumsum(
+        wheels.measurements[:, 3 + 2 * free : 3 + 3 * free] * unknown[:, None], axis=0
+    )
     covariance = np.linalg.inv(wheels.sqrt_information)
     variance = np.einsum("kb,kb->k", covariance[:, 2], covariance[:, 2])
     walk, steady = problem.turn_spread.T

@@ -13,6 +13,7 @@ from fgloc.smoothing.build import build_problem
 from fgloc.smoothing.optimise import Solution, optimise
 from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.settings import Settings
+from fgloc.smoothing.slip import look_for_slip
 
 STRAINED = 2.0
 """Strain (see `strain`) that calls for a trial."""
@@ -45,23 +46,33 @@ def stretch(problem: Problem, solution: Solution) -> float:
     return float(max(pulls, default=0.0))
 
 
+def _solve(drive: Drive, settings: Settings) -> tuple[Problem, Solution]:
+    """Solve a drive with all its sensors, without slip."""
+    problem = build_problem(drive, settings)
+    return problem, optimise(problem, settings)
+
+
 def solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Solution, dict[str, str]]:
     """Solve a drive, and where its sensors contradict each other, without each heading sensor.
 
     Returns the problem and solution without what was left out, and a note for each sensor left
-    out, by its name. Costs one more solve a heading sensor, and only in a strained drive.
+    out, by its name. Wheels that slip are looked for before a heading sensor is doubted that only
+    the wheels contradict, and after one that fixes or camera contradict. Costs one more solve a
+    heading sensor, and only in a strained drive.
     """
-    problem = build_problem(drive, settings)
-    solution = optimise(problem, settings)
+    problem, solution = _solve(drive, settings)
     notes: dict[str, str] = {}
+    looked = False
     suspects = [s.sensor for s in drive.sensors if isinstance(s, Yaw | YawRate)]
     for suspect in suspects:
+        if not looked and strain(solution) < STRAINED:
+            problem, solution = look_for_slip(problem, solution, settings)
+            looked = True
         before, pulled = strain(solution), stretch(problem, solution)
         if before < STRAINED and pulled < STRETCHED:
             break
         less = replace(drive, sensors=tuple(s for s in drive.sensors if s.sensor != suspect))
-        other = build_problem(less, settings)
-        trial = optimise(other, settings)
+        other, trial = _solve(less, settings)
         after = strain(trial)
         if before >= STRAINED and after < GAIN * before:
             notes[suspect] = (
@@ -76,4 +87,7 @@ def solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Solutio
             )
         if suspect in notes:
             drive, problem, solution = less, other, trial
+            looked = False
+    if not looked:
+        problem, solution = look_for_slip(problem, solution, settings)
     return problem, solution, notes

@@ -12,6 +12,8 @@ def dimension(kind: Kind, width: int, g_size: int) -> int:
     """Return the number of residual components of a kind."""
     if kind == Kind.STATE_PRIOR:
         return width + g_size
+    if kind == Kind.WHEEL_REDUNDANCY:
+        return 2
     return width if kind == Kind.CALIBRATION_WALK else len(COMPONENTS[kind])
 
 

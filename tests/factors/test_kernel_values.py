@@ -34,9 +34,14 @@ def pair(request: pytest.FixtureRequest) -> tuple[Floats, Floats]:
 def test_wheel_is_between_minus_the_displacement(pair: tuple[Floats, Floats]) -> None:
     xi, xj = pair
     d, j, g = np.array([0.3, -0.1, 0.2]), np.arange(6.0).reshape(3, 2) / 10, np.array([0.05, -0.2])
-    m = np.concatenate([d, j.ravel()])
+    m = np.concatenate([d, j.ravel(), np.zeros(2)])
     r = evaluate(Kind.WHEEL, xi, xj, g, m, -1)[0]
     same_pose(r + d + j @ g, pose2(xi).between(pose2(xj)))
+    # Wheels twice as large make half of the way's residual, and none less of the heading's.
+    larger = np.concatenate([d, j.ravel(), [math.log(2.0) / 0.05, 0.0]])
+    np.testing.assert_allclose(
+        evaluate(Kind.WHEEL, xi, xj, g, larger, -1)[0], r * [0.5, 0.5, 1.0], atol=1e-12
+    )
     assert -math.pi <= r[2] < math.pi
 
 
@@ -157,6 +162,21 @@ def test_slip_takes_its_part_off_the_displacement(pair: tuple[Floats, Floats]) -
     xj[4] = 0.0
     r = evaluate(Kind.WHEEL_SLIP, xi, xj, none, m, 4)[0]
     np.testing.assert_allclose(r, [-0.125, 0.0, 0.5], atol=1e-12)
+
+
+def test_wheels_contradict_each_other_by_what_one_rolls_more() -> None:
+    # Two wheels of a side: 1.25 and 1 m rolled; the difference over the root of two is 0.1768 m.
+    half = math.sqrt(0.5)
+    m = np.array([half, -half, 0.0, 0.0, 1.25, 1.0, 0.0, 0.0])
+    x, g = np.zeros(5), np.zeros(1)
+    r = evaluate(Kind.WHEEL_REDUNDANCY, x, x, g, m, 3)[0]
+    np.testing.assert_allclose(r, [0.25 * half, 0.0], atol=1e-12)
+    # A fifth of the first one's way is slip; the contradiction grows with the common radius.
+    slipping = np.array([0.0, 0.0, 0.0, 0.2, 0.0])
+    r = evaluate(Kind.WHEEL_REDUNDANCY, x, slipping, np.array([0.3]), m, 3)[0]
+    np.testing.assert_allclose(r, 0.0, atol=1e-12)
+    r = evaluate(Kind.WHEEL_REDUNDANCY, x, x, np.array([math.log(2.0)]), m, 3)[0]
+    np.testing.assert_allclose(r, [0.5 * half, 0.0], atol=1e-12)
 
 
 def test_slip_is_dear_on_the_unlikely_side() -> None:

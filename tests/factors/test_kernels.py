@@ -36,8 +36,8 @@ DIAGONAL = np.array([0.6, -0.8])
 # Calibration and measurement sizes of each kernel, with and without what it can do without.
 CASES: list[tuple[Kind, int, int, int]] = [
     (Kind.WHEEL, -1, 0, 3),
-    (Kind.WHEEL, -1, 3, 12),
-    (Kind.WHEEL, 3, 5, 18),
+    (Kind.WHEEL, -1, 3, 15),
+    (Kind.WHEEL, 3, 5, 23),
     (Kind.YAW, -1, 1, 2),
     (Kind.YAW, -1, 2, 2),
     (Kind.YAW, 3, 0, 2),
@@ -62,10 +62,12 @@ CASES: list[tuple[Kind, int, int, int]] = [
     (Kind.ZERO_VELOCITY, -1, 0, 1),
     (Kind.ZERO_VELOCITY, 3, 0, 1),
     (Kind.WHEEL_SLIP, 3, 0, 9),
-    (Kind.WHEEL_SLIP, 3, 4, 21),
+    (Kind.WHEEL_SLIP, 3, 4, 25),
     (Kind.SLIP_PRIOR, 4, 0, 1),
     (Kind.SLIP_SIDE, 4, 0, 1),
     (Kind.SLIP_WALK, 4, 0, 1),
+    (Kind.WHEEL_REDUNDANCY, 3, 0, 8),
+    (Kind.WHEEL_REDUNDANCY, 3, 2, 8),
 ]
 """(kind, slot, size of g, size of m)."""
 
@@ -100,6 +102,9 @@ def measurements_of(kind: Kind, xi: Floats, xj: Floats, size: int) -> list[Float
         return [near, np.concatenate([m[:3], [0.0, 0.0], m[5:]])]
     if kind == Kind.RANGE_BEARING:
         return [np.concatenate([m[:2], MOUNT[:2], m[4:]])]
+    if kind == Kind.WHEEL_REDUNDANCY:
+        # Which variable is the radius of each of the two wheels: either, both, none.
+        return [np.append(m[:6], index) for index in ((1, 0), (1, 1), (-1, 0), (-1, -1))]
     if kind == Kind.SLIP_SIDE:
         return [np.array([side]) for side in (-1.0, 0.0, 0.3, 1.0)]
     return [m]
@@ -195,6 +200,8 @@ def test_jacobians_are_the_derivatives(kind: Kind, slot: int, g_size: int, m_siz
         g = (0.0 if exact else 0.1) * rng.normal(size=g_size)
         for second in second_of(kind, xi, xj):
             for m in measurements_of(kind, xi, xj, m_size):
+                if kind == Kind.WHEEL_REDUNDANCY and not g_size:
+                    m[6:] = -1.0
                 check_jacobians(kind, xi, second, g, m, slot)
 
 
@@ -209,11 +216,14 @@ def test_linearise_whitens_rows_and_finds_its_keyframes(
     first = np.array([0, 7, 2, 2, 5, 3], dtype=np.int64)
     landmarks = rng.normal(size=(4, 2)) if kind in LANDMARK else None
     seen = np.array([3, 0, 0, 1, 3, 2], dtype=np.int64)
+    measurements = rng.normal(size=(factors, m_size))
+    if kind == Kind.WHEEL_REDUNDANCY:
+        measurements[:, 6:] = g_size - 1
     table = FactorTable(
         kind,
         "any",
         first,
-        rng.normal(size=(factors, m_size)),
+        measurements,
         # From next to nothing known to a nanometre: none may drown or overflow.
         rng.normal(size=(factors, d, d)) * 10.0 ** np.array([0, -150, -9, 9, 0, 3])[:, None, None],
         slice(2, 2 + g_size),
