@@ -56,6 +56,10 @@ class Model3Settings:
     """Secondary scaling of the sigma points."""
     track_sigma: float | None = None
     """Initial sigma of the track [m]; None: that of the robot's prior."""
+    track_floor: float = 0.1
+    """Least track, in parts of the nominal one. Slip that turns the robot against its wheels drives
+    the estimate down, through zero if nothing stops it, and then every turn is mirrored; it is set
+    to this value where it would fall below."""
     start_sigma: tuple[float, float, float] | None = None
     """Initial sigmas of x, y [m], heading [rad]; None: those the truth states, or 1e-4 where the
     start is the origin by definition."""
@@ -75,6 +79,7 @@ class Model3Settings:
         positive = {
             "yaw variance": self.yaw_variance,
             "alpha": self.alpha,
+            "track floor": self.track_floor,
             "4 + kappa": 4.0 + self.kappa,
         }
         check_noise("model3", positive, {**floors, "beta": self.beta})
@@ -114,8 +119,8 @@ class Model3:
     the mean heading. The yaw reading nearest in time to a wheel stamp corrects, each reading once,
     and where the sensor is silent the filter only predicts. The first reading is set to the
     start's heading, so that the sensor's arbitrary zero drops out. Without a yaw stream a yaw-rate
-    stream is integrated; after a silence its zero is set anew. Nothing is gated. Source: seed A,
-    Model 3 (equations 2.29 to 2.38).
+    stream is integrated; after a silence its zero is set anew. Nothing is gated; the track is kept
+    from falling to zero. Source: seed A, Model 3 (equations 2.29 to 2.38).
     """
 
     settings: Model3Settings = Model3Settings()
@@ -134,7 +139,8 @@ class Model3:
         """Return the state with covariance at every wheel stamp. O(N log M), 160 bytes a stamp.
 
         Raises FglocError if the base has no effective track, if the drive has neither a yaw nor a
-        yaw-rate stream, if wheels and truth do not overlap, or if the filter breaks down.
+        yaw-rate stream, if wheels and truth do not overlap, or if alpha is so
+        small that the filter breaks down.
         """
         base = drive.robot.base
         track = track_parameter(base, self.method)
@@ -158,6 +164,7 @@ class Model3:
         first = np.diag(np.append(_start_sigma(settings, drive), sigma) ** 2)
         # A track that is known is no random walk either.
         walk = settings.track_variance if sigma > 0.0 else 0.0
+        floor = settings.track_floor * track.nominal
         states, covariances = np.empty((stamps.size, 4)), np.empty((stamps.size, 4, 4))
         done = unscented_filter(
             np.ascontiguousarray(displacements[:, 0]),
@@ -172,14 +179,20 @@ class Model3:
             np.array([settings.x_variance, settings.y_variance, settings.heading_variance, walk]),
             settings.yaw_variance,
             np.array([settings.alpha, settings.beta, settings.kappa]),
+            floor,
             states,
             covariances,
         )
         if done < stamps.size:
             raise FglocError(
                 f"{drive.name}: model3 broke down {(stamps[done] - stamps[0]) * 1e-9:.1f} s after "
-                "the start: the yaw sensor jumps, or turns further than any effective track "
-                "explains; check the nominal track and the yaw's unit and sign"
+                "the start: the covariance is no longer positive; use a larger alpha"
+            )
+        held = int((states[1:, 3] <= floor).sum())
+        if held:
+            notes.append(
+                f"{held} of {silent.size} steps end with the effective track held at its least "
+                f"value, {floor:.3g} m: slip, a jump of the yaw or a wrong nominal track"
             )
         left_out = drive.wheels.stamps_ns.size - stamps.size
         outside = (source.stamps_ns < stamps[0]) | (source.stamps_ns > stamps[-1])

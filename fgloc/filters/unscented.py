@@ -50,33 +50,33 @@ def square_root(p: Floats, scale: float, out: Floats) -> bool:
 
 
 @compiled
-def move(points: Floats, forward: float, sides: float, arm: float) -> bool:
-    """Drive each of the points (9, 4) along by one wheel packet; False if a track is not positive.
+def move(points: Floats, forward: float, sides: float, arm: float, floor: float) -> None:
+    """Drive each of the points (9, 4) along by one wheel packet.
 
     `forward` is the mean of both sides' ways [m], `sides` right minus left [m]. Each point turns
-    with its own track and steps along its mean heading; `arm` [m] is how far ahead of the origin
-    the base turns about (icr_x).
+    with its own track, but none below `floor` [m], and steps along its mean heading; `arm` [m] is
+    how far ahead of the origin the base turns about (icr_x).
     """
     for i in range(9):
-        if not points[i, 3] > 0.0:
-            return False
-        turn = sides / points[i, 3]
+        turn = sides / max(points[i, 3], floor)
         c, s = math.cos(points[i, 2] + 0.5 * turn), math.sin(points[i, 2] + 0.5 * turn)
         left = -arm * turn
         points[i, 0] += c * forward - s * left
         points[i, 1] += s * forward + c * left
         points[i, 2] += turn
-    return True
 
 
 @compiled
-def mean_point(points: Floats, centre: float, other: float, out: Floats) -> None:
+def mean_point(points: Floats, centre: float, other: float, near: float, out: Floats) -> None:
     """Write the weighted mean (4,) of the points (9, 4) into `out`, the heading's on the circle.
 
     `centre` and `other` are the weights of the first point and of each other one. Sums are taken
-    from the first point on, which loses no digits to weights of -99. Headings spread by more than
-    a radian have no mean on the circle worth the name (the weighted sum of the unit vectors turns
-    round beyond sqrt(2) rad); the plain mean, equal to it where both mean something, is used.
+    from the first point on, which loses no digits to weights of -99. Where headings are spread by
+    a radian the sum of unit vectors so weighted is short or points the other way; its direction is
+    used only where it differs from the plain mean by less than `near` [rad]. With `near` no more
+    than the sigma of the heading's process noise, and beta = 2, the covariance about this mean
+    always stays positive: about the plain mean it is a sum of squares, and half the square of the
+    difference is all that it can lose.
     """
     sine, cosine = 0.0, centre
     dx, dy, dtheta, dtrack = 0.0, 0.0, 0.0, 0.0
@@ -88,8 +88,9 @@ def mean_point(points: Floats, centre: float, other: float, out: Floats) -> None
         dtrack += other * (points[i, 3] - points[0, 3])
         sine += other * math.sin(off)
         cosine += other * math.cos(off)
-    if cosine > 0.5:
-        dtheta = math.atan2(sine, cosine)
+    circular = math.atan2(sine, cosine)
+    if abs(circular - dtheta) < near:
+        dtheta = circular
     out[0] = points[0, 0] + dx
     out[1] = points[0, 1] + dy
     out[2] = points[0, 2] + dtheta
@@ -109,6 +110,7 @@ def unscented_filter(
     process: Floats,
     reading: float,
     shape: Floats,
+    floor: float,
     states: Floats,
     covariances: Floats,
 ) -> int:
@@ -117,9 +119,10 @@ def unscented_filter(
     `forward`, `sides` (N,) [m] are the wheels' ways as in `move`; `packets` (N,) how long an
     interval is in units of that for which `process` (4,) [m², m², rad², m²] is stated; `measured`
     (N+1,) headings [rad] with any zero, wrapped or not, and `kinds` (N+1,) what to do with them;
-    `reading` their variance [rad²]; `shape` the sigma points' alpha, beta, kappa. Writes `states`
-    (N+1, 4), headings continuous, and `covariances` (N+1, 4, 4). It breaks down where a track is
-    not positive or a covariance has a negative direction.
+    `reading` their variance [rad²]; `shape` the sigma points' alpha, beta, kappa; `floor` the least
+    track [m], to which an estimate below is set. Writes `states` (N+1, 4), headings continuous, and
+    `covariances` (N+1, 4, 4). With exact numbers it never breaks down (see `mean_point`); it does
+    where the points are so close that they lose the digits, or beta is far below 2.
     """
     alpha, beta, kappa = shape[0], shape[1], shape[2]
     scale = alpha * alpha * (4.0 + kappa)
@@ -141,9 +144,9 @@ def unscented_filter(
                 for j in range(4):
                     points[1 + j, i] = x[i] + root[i, j]
                     points[5 + j, i] = x[i] - root[i, j]
-            if not move(points, forward[k - 1], sides[k - 1], arm):
-                return k
-            mean_point(points, centre, other, x)
+            move(points, forward[k - 1], sides[k - 1], arm, floor)
+            near = math.sqrt(packets[k - 1] * process[2])
+            mean_point(points, centre, other, near, x)
             for i in range(4):
                 for j in range(i + 1):
                     a, b = points[0, i] - x[i], points[0, j] - x[j]
@@ -165,7 +168,8 @@ def unscented_filter(
                 x[i] += gain[i] * innovation
                 for j in range(4):
                     p[i, j] -= gain[i] * variance * gain[j]
-        if not (x[3] > 0.0 and math.isfinite(x[0]) and math.isfinite(x[1]) and p[2, 2] >= 0.0):
+        x[3] = max(x[3], floor)
+        if not math.isfinite(x[0] + x[1] + x[2] + p[2, 2]):
             return k
         for i in range(4):
             states[k, i] = x[i]
