@@ -24,9 +24,8 @@ class Entrant:
     """Heading."""
     method: str
     """Method id."""
-    starts_wrong: bool = True
-    """True: the nominal track is 0.48 m in every case. False: the case's own, as Models 1 and 2
-    have it in the seed."""
+    nominal_track: float | None = SMOOTHED_TRACK
+    """Nominal track [m]; None for the case's own, as Models 1 and 2 have it in the seed."""
     settings: Any = None
     """Settings in place of the defaults, for Model 3."""
 
@@ -65,10 +64,12 @@ class Job:
 class End:
     """What one method made of one drive."""
 
-    position_m: float
-    """Distance from the truth at the end [m]; NaN if the method failed."""
-    heading_deg: float
-    """Absolute heading error at the end, unwrapped [deg]."""
+    x_m: float
+    """Error of map x at the end [m]; NaN if the method failed."""
+    y_m: float
+    """Error of map y at the end [m]."""
+    turned_deg: float
+    """Heading error at the end, unwrapped, counter-clockwise positive [deg]."""
     track: float | None = None
     """Estimated effective track [m], for methods that estimate it."""
     track_sigma: float | None = None
@@ -79,6 +80,16 @@ class End:
     """Why the method failed; empty if it did not."""
     trajectory: Trajectory | None = None
     """The path, of drives without noise."""
+
+    @property
+    def position_m(self) -> float:
+        """Return the distance from the truth at the end [m]."""
+        return math.hypot(self.x_m, self.y_m)
+
+    @property
+    def heading_deg(self) -> float:
+        """Return the absolute heading error at the end [deg]."""
+        return abs(self.turned_deg)
 
 
 TITLES = {"model1": "Model 1", "model2": "Model 2", "model3": "Model 3"}
@@ -94,7 +105,9 @@ def entrants(*wanted: str) -> tuple[Entrant, ...]:
     from fgloc.experiments.methods import available
 
     return tuple(
-        Entrant(m, TITLES.get(m, m), m, m not in OWN_TRACK) for m in wanted if m in available()
+        Entrant(m, TITLES.get(m, m), m, None if m in OWN_TRACK else SMOOTHED_TRACK)
+        for m in wanted
+        if m in available()
     )
 
 
@@ -133,8 +146,7 @@ def run_job(job: Job) -> dict[str, list[End]]:
     for entrant in job.entrants:
         estimator = build(entrant)
         found[entrant.id] = [
-            _run(estimator, job, seed, SMOOTHED_TRACK if entrant.starts_wrong else None)
-            for seed in job.seeds
+            _run(estimator, job, seed, entrant.nominal_track) for seed in job.seeds
         ]
     return found
 
@@ -155,12 +167,13 @@ def _run(estimator: Any, job: Job, seed: int, nominal_track: float | None) -> En
     try:
         result = run(estimator, drive)
     except FglocError as error:
-        return End(math.nan, math.nan, failure=str(error))
+        return End(math.nan, math.nan, math.nan, failure=str(error))
     x, y, heading = error_series(result.trajectory, drive.truth).errors[-1].tolist()
     track = next((c for c in result.calibration if c.name == "effective_track"), None)
     return End(
-        math.hypot(x, y),
-        abs(math.degrees(heading)),
+        x,
+        y,
+        math.degrees(heading),
         None if track is None else track.value,
         None if track is None else track.sigma,
         result.seconds,
@@ -168,14 +181,10 @@ def _run(estimator: Any, job: Job, seed: int, nominal_track: float | None) -> En
     )
 
 
-def split(
-    scenario: Scenario, case: str, seeds: range, entrants: tuple[Entrant, ...], size: int
-) -> list[Job]:
+def split(scenario: Scenario, case: str, who: tuple[Entrant, ...], size: int) -> list[Job]:
     """Return the jobs of one case of a scenario, at most `size` seeds each."""
-    chosen = tuple(seeds) if scenario.seeds > 1 else (1,)
-    return [
-        Job(scenario, case, chosen[k : k + size], entrants) for k in range(0, len(chosen), size)
-    ]
+    seeds = tuple(range(1, scenario.seeds + 1))
+    return [Job(scenario, case, seeds[k : k + size], who) for k in range(0, len(seeds), size)]
 
 
 def gather(jobs: list[Job], results: list[dict[str, list[End]]]) -> Ends:

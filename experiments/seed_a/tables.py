@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 
 from fgloc.experiments.seed_a.published import (
@@ -199,14 +198,3 @@ def failures(ends: Ends) -> Iterator[str]:
         if failed:
             where = f"{len(failed)} of {len(found)} drives {scenario} {case}"
             yield f"{entrant} failed on {where}: {failed[0]}"
-
-
-def ratio(ends: Ends, scenario: str, case: str, above: str, below: str) -> float:
-    """Return the quotient of two methods' median end errors."""
-    import statistics
-
-    top, bottom = (
-        statistics.median(values(ends[scenario, case, e], POSITION, SCALES[case]))
-        for e in (above, below)
-    )
-    return top / bottom if bottom > 0.0 else math.inf

@@ -30,7 +30,7 @@ def run(context: Context) -> Report:
         job
         for scenario in scenarios.values()
         for case in CASES
-        for job in split(scenario, case, range(1, seeds + 1), everyone, CHUNK)
+        for job in split(scenario, case, everyone, CHUNK)
     ]
     ends = gather(jobs, context.map(run_job, jobs, describe))
     tables = [

@@ -22,7 +22,7 @@ class Verdict(StrEnum):
     """What is to be said of one published number."""
 
     REPRODUCED = "reproduced"
-    """The number here rounds to the printed one."""
+    """The number here is within one unit of the last printed digit."""
     INSIDE = "inside the central 95 %"
     """The printed number is one draw of a distribution, and lies in its central 95 %."""
     EXPLAINED = "explained"
@@ -70,16 +70,20 @@ class Cell:
 
     @property
     def tolerance(self) -> float:
-        """Return how far a number may be from the published one: half of its last digit."""
+        """Return how far a number may be from the published one: a unit of its last digit.
+
+        Half a unit would be too strict: authors round twice (6.75° printed as 6.8°, and that as
+        1.89 % of 360° where 6.75° are 1.875 %).
+        """
         # A little more, so that a number on the edge is not decided by binary rounding.
-        return 0.5 * 10.0**-self.decimals * (1.0 + 1e-9)
+        return 10.0**-self.decimals * (1.0 + 1e-9)
 
     @property
     def verdict(self) -> Verdict | None:
         """Return what is to be said of the published number; None if there is none.
 
-        One number must round to the published one. A distribution must hold the interval that
-        rounds to it, at least in part, in its central 95 %.
+        One number must be within a unit of the published one's last digit, and so must the
+        central 95 % of a distribution, at least at one of its ends.
         """
         if self.published is None:
             return None
