@@ -1,4 +1,4 @@
-"""The simulated cases of seed A: a 4×4 skid-steer vehicle in three motions and six scenarios.
+"""The simulated cases of seed A: a 4×4 skid-steer vehicle in three motions and seven scenarios.
 
 Definition: encoder packets at 5 Hz for 10 s; the vehicle starts and stops instantly; one count
 rolls s = 2πR/N with R = 0.135 m and N = 300. The effective track differs between the cases.
@@ -73,6 +73,7 @@ SCENARIOS: dict[str, tuple[Slip, ...]] = {
         Slip(("rr",), 4.0, 5.0, extra_rate=SLIP_TICKS * TICK / (PACKET_NS * 1e-9)),
     ),
     "bothleft": (Slip(("fl", "rl"), 3.0, 5.0, 1.2),),
+    "allwheels": (Slip(("fl", "fr", "rl", "rr"), 3.0, 5.0, 1.2),),
     "slip20noise": SLIP20,
 }
 NOISY = ("noise", "slip20noise")
@@ -97,7 +98,7 @@ SPECS: dict[str, SimSpec] = {
     for case in CASES
     for scenario in SCENARIOS
 }
-"""The named drives: three cases times six scenarios."""
+"""The named drives: three cases times seven scenarios."""
 
 
 def build_drive(spec: SimSpec, name: str) -> Drive:

@@ -21,6 +21,7 @@ the models. The rest is assumed here, and each assumption is named:
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, replace
 
@@ -103,6 +104,7 @@ def shares(duration_s: float) -> Floats:
     return np.diff(done)
 
 
+@functools.cache
 def course_of(name: str) -> Course:
     """Return the true course of a run, which ends at the printed pose.
 
@@ -137,7 +139,7 @@ def course_of(name: str) -> Course:
         return steps
 
     def miss(shape: Floats) -> Floats:
-        return integrate(displacements(shape), np.zeros(3), EXACT)[-1] - end
+        return np.asarray(integrate(displacements(shape), np.zeros(3), EXACT)[-1] - end)
 
     found = root(miss, np.zeros(3), tol=1e-12)
     return Course.follow(displacements(found.x), STEP_NS)

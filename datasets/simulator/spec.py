@@ -100,10 +100,11 @@ def keys(drive: str = "") -> Setters:
             found[f.name] = ((f.name,), str(f.type))
     if not drive.startswith("seed-a-"):
         return found
-    plain_keys, sensors = SEED_A_KEYS, ADDED_SENSORS
     if drive.startswith("seed-a-vehicle-"):
-        plain_keys, sensors = VEHICLE_KEYS, ("yaw", *ADDED_SENSORS)
-    return {k: v for k, v in found.items() if k in plain_keys or v[0][0] in sensors}
+        named, sensors = set(VEHICLE_KEYS), {"yaw", *ADDED_SENSORS}
+    else:
+        named, sensors = set(SEED_A_KEYS), set(ADDED_SENSORS)
+    return {k: v for k, v in found.items() if k in named or v[0][0] in sensors}
 
 
 def _value(key: str, text: str, kind: str) -> Any:

@@ -35,7 +35,7 @@ def draws_figure(noise: Scenario, who: Sequence[Entrant], ends: Ends) -> Figure:
             rows.append(
                 [
                     Draws(
-                        f"{case}, Table {printed.id}",
+                        f"{case}, {printed.id.replace('-', ' ')}",
                         {
                             e.id: values(ends[noise.key, case, e.id], POSITION, SCALES[case])
                             for e in shown

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
+from fgloc.core.drive import Drive
 from fgloc.core.trajectory import Trajectory
+from fgloc.estimator import Estimator
 
 SMOOTHED_TRACK = 0.48
 """Track [m] that methods which estimate it start from, with the prior of a skid-steer base."""
@@ -26,8 +27,8 @@ class Entrant:
     """Method id."""
     nominal_track: float | None = SMOOTHED_TRACK
     """Nominal track [m]; None for the case's own, as Models 1 and 2 have it in the seed."""
-    settings: Any = None
-    """Settings in place of the defaults, for Model 3."""
+    tuned: tuple[tuple[str, float], ...] = ()
+    """Parameters in place of the method's own, by name (see `fgloc.experiments.tunables`)."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +41,8 @@ class Scenario:
     """Name of the drive with {case} in place of the case, e.g. "seed-a-{case}-slip20"."""
     query: str = ""
     """Further keys of the drive, e.g. "camera=on"."""
-    seeds: int = 1
-    """Number of seeds; 1 for a drive without noise."""
+    seeds: int = 0
+    """Number of seeds; 0 for a drive in which nothing is drawn."""
     selection: bool = False
     """Whether the encoders of each side are selected (equations 3.3 to 3.6)."""
 
@@ -120,7 +121,7 @@ def drive_id(scenario: Scenario, case: str, seed: int, nominal_track: float | No
     import numpy as np
 
     items = [scenario.query] if scenario.query else []
-    if scenario.seeds > 1:
+    if scenario.seeds:
         zero = float(np.random.default_rng(seed).uniform(-0.5, 0.5)) * YAW_STEP
         items += [f"seed={seed}", f"yaw_zero={zero:.6f}"]
     if nominal_track is not None:
@@ -129,40 +130,49 @@ def drive_id(scenario: Scenario, case: str, seed: int, nominal_track: float | No
     return f"sim:{scenario.drive.format(case=case)}{query}"
 
 
-def build(entrant: Entrant) -> Any:
+def build(entrant: Entrant) -> Estimator:
     """Return the estimator; Model 1 takes the seed's midpoint step."""
     from fgloc.experiments.methods import create
 
-    if entrant.settings is not None:
-        from fgloc.filters.model3 import Model3
+    if entrant.tuned:
+        from fgloc.experiments.tunables import tunable
 
-        return Model3(entrant.settings)
+        return tunable(entrant.method).build(dict(entrant.tuned))
     return create(entrant.method, integrator="midpoint")
 
 
 def run_job(job: Job) -> dict[str, list[End]]:
     """Return what every entrant makes of every seed of a job."""
-    found: dict[str, list[End]] = {}
-    for entrant in job.entrants:
-        estimator = build(entrant)
-        found[entrant.id] = [
-            _run(estimator, job, seed, entrant.nominal_track) for seed in job.seeds
-        ]
+    estimators = {entrant: build(entrant) for entrant in job.entrants}
+    found: dict[str, list[End]] = {entrant.id: [] for entrant in job.entrants}
+    for seed in job.seeds:
+        drives: dict[float | None, Drive] = {}
+        for entrant, estimator in estimators.items():
+            track = entrant.nominal_track
+            if track not in drives:
+                drives[track] = _drive(job, seed, track)
+            found[entrant.id].append(_end(estimator, drives[track], not job.scenario.seeds))
     return found
 
 
-def _run(estimator: Any, job: Job, seed: int, nominal_track: float | None) -> End:
-    """Return what an estimator makes of one drive."""
-    from fgloc.core.evaluation import error_series
+def _drive(job: Job, seed: int, nominal_track: float | None) -> Drive:
+    """Return one drive of a job, with its encoders selected where the scenario says so."""
     from fgloc.datasets.registry import load_drive
-    from fgloc.errors import FglocError
-    from fgloc.estimator import run
 
     drive = load_drive(drive_id(job.scenario, job.case, seed, nominal_track))
     if job.scenario.selection:
         from fgloc.core.encoder_selection import select_encoders
 
         drive = select_encoders(drive)
+    return drive
+
+
+def _end(estimator: Estimator, drive: Drive, keep: bool) -> End:
+    """Return what an estimator makes of one drive; `keep` keeps the trajectory."""
+    from fgloc.core.evaluation import error_series
+    from fgloc.errors import FglocError
+    from fgloc.estimator import run
+
     assert drive.truth is not None
     try:
         result = run(estimator, drive)
@@ -177,13 +187,13 @@ def _run(estimator: Any, job: Job, seed: int, nominal_track: float | None) -> En
         None if track is None else track.value,
         None if track is None else track.sigma,
         result.seconds,
-        trajectory=result.trajectory if job.scenario.seeds == 1 else None,
+        trajectory=result.trajectory if keep else None,
     )
 
 
 def split(scenario: Scenario, case: str, who: tuple[Entrant, ...], size: int) -> list[Job]:
     """Return the jobs of one case of a scenario, at most `size` seeds each."""
-    seeds = tuple(range(1, scenario.seeds + 1))
+    seeds = tuple(range(1, scenario.seeds + 1)) or (1,)
     return [Job(scenario, case, seeds[k : k + size], who) for k in range(0, len(seeds), size)]
 
 
@@ -199,6 +209,6 @@ def gather(jobs: list[Job], results: list[dict[str, list[End]]]) -> Ends:
 def describe(job: Job) -> str:
     """Return what a job was, for a line of progress."""
     text = f"{job.scenario.key} {job.case}"
-    if job.scenario.seeds > 1:
+    if job.scenario.seeds:
         text += f" seeds {job.seeds[0]} to {job.seeds[-1]}"
     return text

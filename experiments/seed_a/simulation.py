@@ -6,7 +6,7 @@ midpoint step; whatever estimates the track starts from 0.48 m with the prior of
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,7 +22,6 @@ from fgloc.experiments.seed_a.figures import (
 from fgloc.experiments.seed_a.ideal_text import ideal_table
 from fgloc.experiments.seed_a.published import CASES, TABLES
 from fgloc.experiments.seed_a.runs import (
-    End,
     Ends,
     Entrant,
     Job,
@@ -36,22 +35,24 @@ from fgloc.experiments.seed_a.runs import (
 from fgloc.experiments.seed_a.start_scan import TRACKS, Start, scan
 from fgloc.experiments.seed_a.tables import (
     comparison_table,
+    end_errors,
     failures,
     printed_table,
     track_table,
 )
+from fgloc.experiments.seed_a.tuned import Training, entrant, noise_table, train
+from fgloc.experiments.tuning import Tuned
 from fgloc.report.experiment_report import Report, Table
 
 CHUNK = 10
 """Seeds in one job."""
-WRONG_TRACK = 0.6
-"""Nominal track [m] of the straight run that shows what yaw alone cannot tell."""
 
 SCENARIOS = (
     Scenario("ideal", "seed-a-{case}-ideal"),
     Scenario("slip20", "seed-a-{case}-slip20"),
     Scenario("slip40ticks", "seed-a-{case}-slip40ticks"),
     Scenario("bothleft", "seed-a-{case}-bothleft"),
+    Scenario("allwheels", "seed-a-{case}-allwheels"),
     Scenario("bothleft-camera", "seed-a-{case}-bothleft", "camera=on", seeds=20),
     Scenario("slip20-selection", "seed-a-{case}-slip20", selection=True),
     Scenario("slip40ticks-selection", "seed-a-{case}-slip40ticks", selection=True),
@@ -64,7 +65,12 @@ SCENARIOS = (
     ),
 )
 """What is driven, in all three cases."""
-UNKNOWN_TRACK = Scenario("bothleft-track", "seed-a-{case}-bothleft")
+TRIALS = 100
+"""Settings that tuning tries."""
+TRAINED_ON = ("noise", "slip20noise")
+"""Scenarios that Model 3 is tuned on, with other seeds."""
+TUNED_IN = ("ideal", "noise", "slip20", "slip40ticks", "bothleft", "allwheels", "slip20noise")
+"""Scenarios that it then runs in."""
 
 EVERYONE = ("model1", "model2", "model3", "batch", "online")
 """Methods of every scenario."""
@@ -77,7 +83,7 @@ def run(context: Context) -> Report:
     scenarios = {s.key: s for s in SCENARIOS}
     if context.seeds is not None:
         scenarios = {
-            k: replace(s, seeds=context.seeds) if s.seeds > 1 else s for k, s in scenarios.items()
+            k: replace(s, seeds=context.seeds) if s.seeds else s for k, s in scenarios.items()
         }
     jobs = [
         job
@@ -90,14 +96,23 @@ def run(context: Context) -> Report:
             CHUNK,
         )
     ]
-    wrong = Entrant("batch", "batch", "batch", nominal_track=WRONG_TRACK)
-    jobs.append(Job(UNKNOWN_TRACK, "straight", (1,), (wrong,)))
-    found = context.map(_work, [*TRACKS, *jobs], _describe)
-    starts = [s for line in found[: len(TRACKS)] for s in line]
-    ends = gather(jobs, found[len(TRACKS) :])
+    training = Training("model3", tuple(scenarios[k] for k in TRAINED_ON), budget=TRIALS)
+    # The longest first, so that no process waits for it at the end.
+    tasks: list[Task] = [training, *TRACKS, *jobs]
+    found = context.map(_work, tasks, _describe)
+    tuned: Tuned = found[0]
+    starts = [s for line in found[1 : 1 + len(TRACKS)] for s in line]
+    ends = gather(jobs, found[1 + len(TRACKS) :])
+    # A filter alone takes less time than starting processes for it.
+    more = [
+        Job(j.scenario, j.case, j.seeds, (entrant(tuned, "Model 3"),))
+        for j in jobs
+        if j.scenario.key in TUNED_IN
+    ]
+    ends |= gather(more, [run_job(job) for job in more])
     return Report(
         "Seed A, simulated cases",
-        tuple(_tables(scenarios, ends)),
+        (*_tables(scenarios, ends, entrant(tuned, "Model 3")), noise_table(tuned, training)),
         tuple(_notes(ends, starts)),
         (
             draws_figure(scenarios["noise"], entrants(*EVERYONE), ends),
@@ -118,45 +133,58 @@ def run(context: Context) -> Report:
             "seeds": {key: s.seeds for key, s in scenarios.items()},
             "drives": {key: f"sim:{s.drive}" for key, s in scenarios.items()},
             "methods": [e.id for e in entrants(*WITH_CAMERA)],
+            "model3_tuned": dict(tuned.values),
         },
         {
-            f"{scenario}-{case}/{entrant}": several[0].trajectory
-            for (scenario, case, entrant), several in ends.items()
+            f"{scenario}-{case}/{who}": several[0].trajectory
+            for (scenario, case, who), several in ends.items()
             if several[0].trajectory is not None
         },
-        _data(ends),
+        end_errors(ends),
     )
 
 
-def _work(task: Job | float) -> Any:
-    """Return the result of one piece of work: runs of all methods, or of Model 3 from a track."""
+Task = Job | Training | float
+"""A piece of work: runs of all methods, tuning, or Model 3 from an initial track [m]."""
+
+
+def _work(task: Task) -> Any:
+    """Return the result of one piece of work."""
+    if isinstance(task, Training):
+        return train(task)
     return run_job(task) if isinstance(task, Job) else scan(task)
 
 
-def _describe(task: Job | float) -> str:
+def _describe(task: Task) -> str:
     """Return what a piece of work was, for a line of progress."""
+    if isinstance(task, Training):
+        return f"{task.method} tuned"
     return describe(task) if isinstance(task, Job) else f"model3 from a track of {task:g} m"
 
 
-def _tables(scenarios: Mapping[str, Scenario], ends: Ends) -> Iterator[Table]:
+def _tables(scenarios: Mapping[str, Scenario], ends: Ends, tuned: Entrant) -> Iterator[Table]:
     """Yield the printed tables, then what the seed did not print."""
 
     def named(**names: str) -> list[tuple[Scenario, str]]:
         return [(scenarios[key.replace("_", "-")], name) for key, name in names.items()]
 
-    everyone = entrants(*EVERYONE)
+    everyone = _beside(entrants(*EVERYONE), tuned)
     yield ideal_table()
     for printed in TABLES:
         keys = ("slip20", "slip40ticks") if printed.scenario == "slip" else ("noise",)
-        who = entrants(printed.method, "batch", "online")
+        who = _beside(entrants(printed.method, "batch", "online"), tuned)
         yield printed_table(printed, [scenarios[k] for k in keys], who, ends)
     title = "Scenario 1: no noise, no slip"
     yield comparison_table("scenario-1", title, named(ideal=""), everyone, ends)
     yield comparison_table(
         "scenario-4",
-        "Scenario 4: both left wheels slip 20 % from 3 s to 5 s",
-        named(bothleft="yaw", bothleft_camera="yaw, camera"),
-        entrants(*WITH_CAMERA),
+        "Scenario 4: both left wheels (and, for comparison, all four) slip 20 % from 3 s to 5 s",
+        named(
+            bothleft="left, yaw",
+            bothleft_camera="left, yaw and camera",
+            allwheels="all four, yaw",
+        ),
+        _beside(entrants(*WITH_CAMERA), tuned),
         ends,
     )
     title = "Scenario 5: slip of 20 % with noise of encoders and yaw"
@@ -170,7 +198,7 @@ def _tables(scenarios: Mapping[str, Scenario], ends: Ends) -> Iterator[Table]:
             slip20noise_selection="20 %, noise",
             slip20noise_selection_acc="20 %, noise, accelerometer",
         ),
-        everyone,
+        entrants(*EVERYONE),
         ends,
     )
     yield track_table(
@@ -182,9 +210,14 @@ def _tables(scenarios: Mapping[str, Scenario], ends: Ends) -> Iterator[Table]:
             bothleft="both left",
             slip20noise="20 %, noise",
         ),
-        entrants("model3", "batch", "online"),
+        _beside(entrants("model3", "batch", "online"), tuned),
         ends,
     )
+
+
+def _beside(who: Sequence[Entrant], tuned: Entrant) -> tuple[Entrant, ...]:
+    """Return the entrants with the tuned one behind its original, if that is one of them."""
+    return tuple(x for e in who for x in ((e, tuned) if e.id == tuned.method else (e,)))
 
 
 def _notes(ends: Ends, starts: list[Start]) -> Iterator[str]:
@@ -193,30 +226,10 @@ def _notes(ends: Ends, starts: list[Start]) -> Iterator[str]:
     yield remarks.wrong_start(entrants(*EVERYONE))
     yield remarks.scenario_3(ends, entrants("model3", "batch", "online"))
     yield from remarks.scenario_4(ends, smoothers)
-    yield remarks.unknown_track(ends, WRONG_TRACK)
+    yield remarks.observability(ends, smoothers)
     yield from remarks.selection(ends)
     yield remarks.start_of_model3(starts)
     yield from failures(ends)
-
-
-def _data(ends: Ends) -> dict[str, Any]:
-    """Return the end errors of every seed and the time that each method took in all."""
-    seconds: dict[str, float] = {}
-    errors: dict[str, Any] = {}
-    for (scenario, case, entrant), found in ends.items():
-        seconds[entrant] = seconds.get(entrant, 0.0) + sum(e.seconds for e in found)
-        errors.setdefault(scenario, {}).setdefault(case, {})[entrant] = _columns(found)
-    return {"end_errors": errors, "seconds": seconds}
-
-
-def _columns(found: list[End]) -> dict[str, list[float | None]]:
-    """Return the errors of one method on one case, seed after seed."""
-    return {
-        "x_m": [e.x_m for e in found],
-        "y_m": [e.y_m for e in found],
-        "heading_deg": [e.turned_deg for e in found],
-        "effective_track_m": [e.track for e in found],
-    }
 
 
 EXPERIMENT = Experiment(

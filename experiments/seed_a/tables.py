@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from fgloc.experiments.seed_a.published import (
     CASES,
@@ -53,10 +54,10 @@ def values(ends: Sequence[End], quantity: str, scale: Scale) -> list[float]:
 
 
 def one(numbers: Sequence[float], seeds: int) -> float | Distribution | None:
-    """Return a number, or its distribution where there were several seeds; None for none."""
+    """Return the distribution of numbers over seeds, the number itself of none; None of nothing."""
     if not numbers:
         return None
-    return numbers[0] if seeds == 1 else Distribution.of(numbers)
+    return Distribution.of(numbers) if seeds else numbers[0]
 
 
 def decimals(text: str) -> int:
@@ -102,9 +103,11 @@ def printed_table(
                 slip = (SLIPS[scenario.key],) if scenario.key in SLIPS else ()
                 rows.append(Row((case, *slip, quantity), cells))
     slip = ("slip",) if printed.scenario == "slip" else ()
+    kind, _, number = printed.id.partition("-")
+    name = f"Table {number}" if kind == "table" else f"Text of section {number}"
     return Table(
-        f"table-{printed.id}",
-        f"Table {printed.id}: {judged.title}, {WHAT[printed.scenario]}",
+        printed.id,
+        f"{name}: {judged.title}, {WHAT[printed.scenario]}",
         ("case", *slip, "at the end"),
         tuple(Column(e.id, e.title) for e in entrants),
         tuple(rows),
@@ -118,10 +121,10 @@ def _explanation(printed: Printed, scenario: Scenario, case: str, quantity: str)
     from them.
     """
     if scenario.key == "slip40ticks":
-        if printed.id != "3.4":
+        if printed.id != "table-3.4":
             return None
         return TABLE_3_4_CIRCLE if case == "circle" else ""
-    if printed.id == "3.4":
+    if printed.id == "table-3.4":
         return TABLE_3_4_SLIP
     return printed.explanations.get((case, quantity), "")
 
@@ -198,3 +201,18 @@ def failures(ends: Ends) -> Iterator[str]:
         if failed:
             where = f"{len(failed)} of {len(found)} drives {scenario} {case}"
             yield f"{entrant} failed on {where}: {failed[0]}"
+
+
+def end_errors(ends: Ends) -> dict[str, Any]:
+    """Return the end errors of every seed, and the time that each method took in all [s]."""
+    seconds: dict[str, float] = {}
+    errors: dict[str, Any] = {}
+    for (scenario, case, who), found in ends.items():
+        seconds[who] = seconds.get(who, 0.0) + sum(e.seconds for e in found)
+        errors.setdefault(scenario, {}).setdefault(case, {})[who] = {
+            "x_m": [e.x_m for e in found],
+            "y_m": [e.y_m for e in found],
+            "heading_deg": [e.turned_deg for e in found],
+            "effective_track_m": [e.track for e in found],
+        }
+    return {"end_errors": errors, "seconds": seconds}

@@ -72,8 +72,8 @@ class Cell:
     def tolerance(self) -> float:
         """Return how far a number may be from the published one: a unit of its last digit.
 
-        Half a unit would be too strict: authors round twice (6.75° printed as 6.8°, and that as
-        1.89 % of 360° where 6.75° are 1.875 %).
+        Half a unit would ask for the author's very arithmetic: 2.82 % is printed where 2.8251 %
+        follows.
         """
         # A little more, so that a number on the edge is not decided by binary rounding.
         return 10.0**-self.decimals * (1.0 + 1e-9)
