@@ -140,16 +140,22 @@ def _row(wheel: Wheel, direction: float) -> tuple[float, float, float]:
 
 
 def redundancy_table(
-    split: SplitIncrements, robot: Robot, free: Sequence[int], slot: int, loss: Loss
+    split: SplitIncrements,
+    robot: Robot,
+    free: Sequence[int],
+    slot: int,
+    loss: Loss,
+    conditions: Floats | None = None,
 ) -> FactorTable | None:
     """Return how far the wheels of each interval contradict each other.
 
     `free` are the indices of the robot's parameters that are calibration variables; the wheels'
     slips are in columns from `slot`. None where there is nothing to contradict. Noise: each
-    wheel's own slip and the rounding of its counts.
+    wheel's own slip and the rounding of its counts. `conditions` are those of `redundant`, for
+    callers who ask often.
     """
     base, noise = robot.base, robot.noise
-    conditions = redundant(base)
+    conditions = redundant(base) if conditions is None else conditions
     n, wheels = conditions.shape
     if n == 0:
         return None

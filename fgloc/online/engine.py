@@ -38,6 +38,7 @@ from fgloc.online.plausible import reading_fault, sigma_fault, size_of, wheels_f
 from fgloc.online.priors import after_move, first_prior
 from fgloc.online.propagate import Propagation
 from fgloc.online.settings import OnlineSettings
+from fgloc.online.slip import SlipWatch
 from fgloc.online.smoother import WindowSmoother
 from fgloc.online.streams import CameraStream, GyroStream, Stream, YawStream
 from fgloc.online.tally import Tally
@@ -96,6 +97,7 @@ class OnlineEngine:
         make = WindowSmoother if chain else IncrementalSmoother
         self.smoother: WindowSmoother | IncrementalSmoother = make(self.window, settings)
         self.trust = Trust(self.smoother) if isinstance(self.smoother, WindowSmoother) else None
+        self.slip: SlipWatch | None = None
         self.clock = Clock()
         self.aligner: Aligner | None = None
         self.rebuilds = 0
@@ -145,6 +147,8 @@ class OnlineEngine:
             self.aligner = Aligner({name: t.mount for name, t in self.fix_tables.items()})
             self.smoother.holding = True
         self.smoother.begin()
+        if isinstance(self.smoother, WindowSmoother) and self.settings.robust:
+            self.slip = SlipWatch(self.smoother, self.settings)
         self._restart()
 
     def _open(self, sensor: Sensor, stamp_ns: int) -> None:
@@ -353,7 +357,8 @@ class OnlineEngine:
         part = (stamp_ns - self.now_ns) / whole
         seconds = (stamp_ns - self.now_ns) * 1e-9
         self.window.add_piece(angles * part, steering, seconds)
-        self.propagation.add(angles * part, steering, seconds)
+        gripping = angles * part * (1.0 - self.window.slipping)
+        self.propagation.add(gripping, steering, seconds)
         self.now_ns = stamp_ns
 
     def _due(self) -> bool:
@@ -421,6 +426,11 @@ class OnlineEngine:
         joint = self.propagation.joint()
         moved = self.propagation.displacement_covariance
         dropped = self.smoother.update(self.dirty, joint, moved)
+        changed = None if self.slip is None else self.slip.look()
+        if changed is not None:
+            self._restart()
+            for sensor, weights in self.smoother.update(changed, joint, moved).items():
+                dropped[sensor] = np.concatenate([dropped.get(sensor, weights[:0]), weights])
         if self.trust is not None and self.smoother.smoothed_whole:
             verdict = self.trust.look()
             if verdict is not None:

@@ -8,11 +8,13 @@ import numpy as np
 
 from fgloc.core.drive import Drive
 from fgloc.core.geometry import compose
+from fgloc.core.measurements import CameraPoses, PoseFixes, PositionFixes
 from fgloc.core.start import start_pose, trim_to_truth
-from fgloc.estimator import Result, calibration_of
+from fgloc.estimator import Result, WheelSlip, calibration_of
 from fgloc.online.engine import OnlineEngine, Start
 from fgloc.online.session import ReplayOptions, Session
 from fgloc.online.settings import OnlineSettings
+from fgloc.smoothing.slip_report import slip_notes, wheel_slips
 
 SURPRISING = 4.0
 """Mean normalised innovation squared a component beyond which a sensor's noise is misjudged."""
@@ -43,6 +45,8 @@ class OnlineSmoother:
         calibration, covariance = calibration_of(
             engine.layout.parameters, known.calibration, known.covariance[b:, b:]
         )
+        slips = slips_of(engine)
+        start_ns = int(drive.wheels.stamps_ns[0])
         return Result(
             method=self.method,
             drive=drive.name,
@@ -50,10 +54,44 @@ class OnlineSmoother:
             sensors_used=tuple(name for name, t in engine.tally.items() if t.used),
             calibration=calibration,
             counts={name: t.count() for name, t in engine.tally.items()},
-            notes=(*notes(engine), *session.notes),
+            notes=(
+                *notes(engine),
+                *slip_notes(slips, start_ns, seen_by_others(engine)),
+                *session.notes,
+            ),
             live=session.live,
+            slips=slips,
             calibration_covariance=covariance,
         )
+
+
+def slips_of(engine: OnlineEngine) -> tuple[WheelSlip, ...]:
+    """Return when which wheel slipped, as it was known when that time left the window."""
+    window = engine.window
+    history = window.slip_history + window.slips_until(len(window.stamps_ns) - 1)
+    if not history:
+        return ()
+    # Intervals without slip in between keep stretches apart.
+    stamps = np.array([[begin, end] for begin, end, _, _ in history], np.int64).ravel()
+    none = np.zeros_like(history[0][2])
+    slips = np.array([row for _, _, s, _ in history for row in (s, none)][:-1])
+    sigmas = np.array([row for _, _, _, s in history for row in (s, none)][:-1])
+    joined = np.flatnonzero(stamps[1:-1:2] == stamps[2::2])
+    keep = np.setdiff1d(np.arange(slips.shape[0]), 2 * joined + 1)
+    bounds = np.append(stamps[keep], stamps[-1])
+    return wheel_slips(
+        engine.layout.robot.base.driven_names,
+        bounds,
+        slips[keep],
+        sigmas[keep],
+        slips[keep] != 0.0,
+    )
+
+
+def seen_by_others(engine: OnlineEngine) -> bool:
+    """Return True if camera or fixes saw the motion as well."""
+    kinds = CameraPoses | PositionFixes | PoseFixes
+    return any(engine.tally[s.sensor].used for s in engine.sensors if isinstance(s, kinds))
 
 
 def notes(engine: OnlineEngine) -> Iterator[str]:

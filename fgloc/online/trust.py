@@ -52,7 +52,7 @@ class Trust:
         if not suspects or self._wait > 0:
             self._wait -= 1
             return None
-        before, pulled = smoother.strain(), _stretch(smoother, smoother.calibration)
+        before, pulled = smoother.strain(), stretch(smoother, smoother.calibration)
         if before < STRAINED and pulled < STRETCHED:
             return None
         for suspect in suspects:
@@ -65,7 +65,7 @@ class Trust:
                     f"without it their mean cost falls from {before:.3g} to {after:.3g} (0.5 is "
                     "right)"
                 )
-            elif pulled >= STRETCHED and _stretch(smoother, trial.calibration) < 0.5 * pulled:
+            elif pulled >= STRETCHED and stretch(smoother, trial.calibration) < 0.5 * pulled:
                 verdict = (
                     f"{suspect} could only be right if the robot's calibration were {pulled:.1f} "
                     "prior sigmas from nominal, and is left out from now on; if the robot is like "
@@ -97,7 +97,7 @@ class Trust:
         return first_prior(window, prior.measurements[0, :b], root)
 
 
-def _stretch(smoother: WindowSmoother, calibration: Floats) -> float:
+def stretch(smoother: WindowSmoother, calibration: Floats) -> float:
     """Return how many prior sigmas the robot's own calibration is away, at most."""
     layout = smoother.window.layout
     pulls = [

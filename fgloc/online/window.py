@@ -6,11 +6,14 @@ engine: every solver is fed from it, and can be rebuilt from it.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from fgloc.core.measurements import Floats, Stamps
 from fgloc.core.preintegration import SplitIncrements, rounding_sigma
 from fgloc.factors.robust import Loss
+from fgloc.factors.slip import slip_effect
 from fgloc.factors.tables import FactorTable, Kind
 from fgloc.online.growing import GrowingArray
 from fgloc.online.layout import Layout
@@ -19,6 +22,8 @@ from fgloc.smoothing.problem import HIDDEN, Problem
 
 WHEELS = "wheels"
 """Name under which the wheels' factors are counted."""
+GUESSED = 0.03
+"""Sigma of a slip that is taken to go on as it was."""
 REINTEGRATE = 0.01
 """Change of a calibration variable beyond which the wheels are integrated again."""
 
@@ -40,6 +45,13 @@ class Window:
         self._angles = GrowingArray((driven,))
         self._steering = GrowingArray((driven,))
         self._seconds = GrowingArray(())
+        # Slips of the wheels in the interval that ends at each keyframe, and what is known of them.
+        self.slips = GrowingArray((driven,))
+        self.slip_sigmas = GrowingArray((driven,))
+        self.slipping = np.zeros(driven)
+        self.slipped = -1
+        # Stamps, slips and sigmas of the intervals with slip that have left the window.
+        self.slip_history: list[tuple[int, int, Floats, Floats]] = []
         self._pieces = 0
         self._dropped = 0
         self.tables: dict[tuple[str, Kind], LiveTable] = {}
@@ -86,6 +98,10 @@ class Window:
         self.stamps_ns.append(stamp_ns)
         self.states.append(state)
         self._bounds.append(self._pieces)
+        self.slips.append(self.slipping)
+        self.slip_sigmas.append(np.where(self.slipping == 0.0, 0.0, GUESSED))
+        if self.slipping.any():
+            self.slipped = self.newest
         self.carry.append(0.0)
         self.linear_states.append(state)
         self.linear_calibration.append(0.0)
@@ -93,10 +109,47 @@ class Window:
 
     def close_interval(self, calibration: Floats) -> None:
         """Make the wheels' factor between the two newest keyframes."""
-        table = self.problem(self.newest - 1, self.newest + 1, ()).wheel_table(calibration)
+        table = self._wheel_table(self.newest - 1, calibration)
         self.wheels.add(
             self.newest - 1, table.measurements[0], table.sqrt_information[0], weight=1.0
         )
+
+    def _wheel_table(self, begin: int, calibration: Floats) -> FactorTable:
+        """Return the wheels' factors from keyframe `begin` on, as uncertain as their slips."""
+        table = self.problem(begin, self.newest + 1, ()).wheel_table(calibration)
+        sigma = self.slip_sigmas.view[begin - self.base + 1 :]
+        k = np.flatnonzero(sigma.any(axis=1)) if self.slipped > begin else np.zeros(0, np.int64)
+        if not k.size:
+            return table
+        raw, slips = (
+            self._raw_split(begin, self.newest + 1),
+            self.slips.view[begin - self.base + 1 :],
+        )
+        _, effect = slip_effect(raw, self.layout.robot, self.layout.values(calibration), slips)
+        root = table.sqrt_information[k]
+        covariance = np.linalg.inv(root.swapaxes(1, 2) @ root)
+        spread = effect[k] * sigma[k][:, None, :]
+        wider = np.linalg.cholesky(covariance + spread @ spread.swapaxes(1, 2))
+        table.sqrt_information[k] = np.linalg.inv(wider)
+        return table
+
+    def set_slips(self, begin: int, slips: Floats, sigmas: Floats, calibration: Floats) -> None:
+        """Take (N, D) slips and their sigmas for the N intervals from keyframe `begin` on.
+
+        The last of them goes on until it is set anew. Wheel factors are integrated again and
+        believed anew.
+        """
+        row = begin - self.base
+        self.slips.view[row + 1 :] = slips
+        self.slip_sigmas.view[row + 1 :] = sigmas
+        self.slipping = slips[-1].copy()
+        slipped = np.flatnonzero(self.slips.view.any(axis=1))
+        self.slipped = self.base + int(slipped[-1]) if slipped.size else -1
+        rows = self.wheels.rows(begin, self.newest + 1)
+        table = self._wheel_table(begin, calibration)
+        self.wheels.measurements.view[rows] = table.measurements
+        self.wheels.sqrt_information.view[rows] = table.sqrt_information
+        self.wheels.weight.view[rows] = 1.0
 
     def integrate_again(self, calibration: Floats) -> None:
         """Integrate all wheel increments anew if the calibration has moved too far for first order.
@@ -108,9 +161,26 @@ class Window:
             return
         self._reference = calibration.copy()
         if len(self.wheels.first):
-            table = self.problem(self.base, self.newest + 1, ()).wheel_table(calibration)
+            table = self._wheel_table(self.base, calibration)
             self.wheels.measurements.view[:] = table.measurements
             self.wheels.sqrt_information.view[:] = table.sqrt_information
+
+    def slips_until(self, count: int) -> list[tuple[int, int, Floats, Floats]]:
+        """Return begin, end [ns], slips and sigmas (D,) of the first `count` intervals that have
+        any."""
+        if self.slipped < self.base:
+            return []
+        rows = 1 + np.flatnonzero(self.slips.view[1 : count + 1].any(axis=1))
+        stamps = self.stamps_ns.view
+        return [
+            (
+                int(stamps[k - 1]),
+                int(stamps[k]),
+                self.slips.view[k].copy(),
+                self.slip_sigmas.view[k].copy(),
+            )
+            for k in rows
+        ]
 
     def stamp(self, number: int) -> int:
         """Return the stamp of a live keyframe."""
@@ -126,10 +196,21 @@ class Window:
         return self.base + int(np.searchsorted(self.stamps_ns.view, stamp_ns, side="right")) - 1
 
     def split(self, begin: int, end: int) -> SplitIncrements:
-        """Return the increments between keyframes begin ≤ k < end; those behind a last one too.
+        """Return the increments between keyframes begin ≤ k < end, less what the wheels slipped.
 
-        With `end` beyond the newest keyframe the open interval after it closes the list.
+        With `end` two beyond the newest keyframe the open interval after it closes the list.
         """
+        split = self._raw_split(begin, end)
+        if self.slipped <= begin and not self.slipping.any():
+            return split
+        row = begin - self.base + 1
+        slips = np.append(self.slips.view[row:], self.slipping[None], axis=0)
+        gripping = 1.0 - slips[: split.bounds.size - 1]
+        angles = split.angles * np.repeat(gripping, np.diff(split.bounds), axis=0)
+        return replace(split, angles=angles)
+
+    def _raw_split(self, begin: int, end: int) -> SplitIncrements:
+        """Return the increments between keyframes as the wheels turned; see `split`."""
         low, high = begin - self.base, end - self.base
         bounds: Stamps = self._bounds.view[low:high] - self._dropped
         if high > len(self._bounds):
@@ -143,14 +224,19 @@ class Window:
             resolution=self.resolution,
         )
 
-    def problem(self, begin: int, end: int, tables: tuple[FactorTable, ...]) -> Problem:
-        """Return the graph of keyframes begin ≤ k < end with the given factors."""
+    def problem(
+        self, begin: int, end: int, tables: tuple[FactorTable, ...], as_turned: bool = False
+    ) -> Problem:
+        """Return the graph of keyframes begin ≤ k < end with the given factors.
+
+        `as_turned`: with the wheels as they turned, slip included.
+        """
         low, high = begin - self.base, end - self.base
         unknown = np.full(high - low - 1, np.nan)
         return Problem(
             keyframes_ns=self.stamps_ns.view[low:high],
             robot=self.layout.robot,
-            split=self.split(begin, end),
+            split=self._raw_split(begin, end) if as_turned else self.split(begin, end),
             free=self.layout.free,
             parameters=self.layout.parameters,
             tables=tables,
@@ -169,9 +255,12 @@ class Window:
         count = before - self.base
         weights: dict[str, Floats] = {}
         pieces = int(self._bounds.view[count]) - self._dropped
+        self.slip_history += self.slips_until(count)
         for column in (
             self.stamps_ns,
             self.states,
+            self.slips,
+            self.slip_sigmas,
             self._bounds,
             self.carry,
             self.linear_states,

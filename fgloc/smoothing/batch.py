@@ -15,7 +15,8 @@ from fgloc.factors.tables import COMPONENTS, residuals
 from fgloc.smoothing.optimise import Solution
 from fgloc.smoothing.problem import HIDDEN, Problem
 from fgloc.smoothing.settings import Settings
-from fgloc.smoothing.slip import slip_intervals, slip_notes
+from fgloc.smoothing.slip import seen_by_others, slips_of
+from fgloc.smoothing.slip_report import slip_notes
 from fgloc.smoothing.trust import STRAINED, solve_with_trust, strain
 
 AT_ODDS = 0.2
@@ -66,8 +67,9 @@ def _result(
     used = tuple(name for name, (count, _) in problem.counts.items() if count > 0)
     sizes = {s.sensor: s.stamps_ns.size for s in drive.sensors}
     unused = {name: SensorCount(0, 0, sizes[name]) for name in left_out}
-    slips = slip_intervals(problem, solution)
-    notes = [*problem.notes, *left_out.values(), *slip_notes(problem, slips)]
+    slips = slips_of(problem, solution)
+    told = slip_notes(slips, int(problem.keyframes_ns[0]), seen_by_others(problem))
+    notes = [*problem.notes, *left_out.values(), *told]
     missed = strain(solution)
     if missed > STRAINED:
         notes.append(

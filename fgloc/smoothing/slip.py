@@ -10,7 +10,7 @@ yaw. Then every driven wheel gets a slip in every interval, sparse in time and b
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,7 @@ from fgloc.smoothing.minimise import CalibrationPrior, Point, minimise
 from fgloc.smoothing.optimise import Solution, finish
 from fgloc.smoothing.problem import FIXES, Problem
 from fgloc.smoothing.settings import Settings
+from fgloc.smoothing.slip_report import runs, wheel_slips
 
 TELLING = (Kind.YAW, Kind.YAW_RATE, Kind.CAMERA)
 """Sensors that see the motion of every interval; sparse fixes cannot tell when a wheel slipped."""
@@ -41,10 +42,25 @@ FEW = 15
 """Linearisations of each of its stages at most."""
 SELDOM = 0.4
 """Part of a drive up to which wheels may slip; beyond it, rather a sensor is wrong."""
-MOST = 6
-"""So many stretches of slip are named in a note."""
 SLIPPING = 0.05
 """Slip from which on a wheel is said to slip."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A drive explained by wheels that slip."""
+
+    problem: Problem
+    """The graph with slips."""
+    point: Point
+    """Its minimum."""
+    converged: bool
+    """Whether the minimum was reached."""
+
+    @property
+    def slipping(self) -> npt.NDArray[np.bool_]:
+        """Return (K-1, W): in which interval which driven wheel slips."""
+        return where_slipping(self.problem, self.point)
 
 
 def look_for_slip(
@@ -55,33 +71,53 @@ def look_for_slip(
     Costs nothing but a look at residuals where nothing is suspect, else about two more solutions
     of a graph with one more unknown a wheel and keyframe. O(K).
     """
-    model = settings.slip
+    model, plain = settings.slip, solution.point
     if model is None or not settings.robust:
         return problem, solution
     slipping = with_slips(problem, model)
     if not _suspect(slipping, solution):
         return problem, solution
-    none = slipping.states[:, problem.states.shape[1] :]
-    states = np.hstack([solution.point.states, none])
-    before = _without_slips(slipping, solution.point, states)
-    best, iterations = _first_look(slipping, settings, states, solution.point.u)
     # A slip that bent the calibration is better sought from where it was not bent yet.
-    nominal = np.hstack([problem.states, none])
-    other, count = _first_look(slipping, settings, nominal, np.zeros_like(best.u))
-    iterations += count + solution.iterations
-    best = min(best, other, key=lambda point: point.cost)
-    # Without one stretch that counts, the gain is noise that was soaked up everywhere.
-    if best.cost < before - GAIN and _slipping(slipping, best).any():
-        point, count, converged = minimise(slipping, settings, best.states, best.u, True)
+    starts = ((plain.states, plain.u), (problem.states, np.zeros_like(plain.u)))
+    found, count = explain(slipping, plain, settings, starts)
+    iterations = solution.iterations + count
+    if found is None or float(np.mean(found.slipping.any(axis=1))) > SELDOM:
+        return problem, replace(solution, iterations=iterations)
+    stopped = "the cost falls no further" if found.converged else "no step lowers the cost"
+    return slipping, finish(slipping, settings, found.point, iterations, found.converged, stopped)
+
+
+def explain(
+    slipping: Problem,
+    plain: Point,
+    settings: Settings,
+    starts: Sequence[tuple[Floats, Floats]],
+    prior: CalibrationPrior | None = None,
+    gain: float = GAIN,
+) -> tuple[Explanation | None, int]:
+    """Return the slips that explain a graph `with_slips` far better than `plain`, or None.
+
+    `plain` is its solution without slips, `starts` are states (K, B) without slips and calibrations
+    (G,) to look from, `prior` replaces the calibration's, `gain` is what each stretch of slip must
+    save. Returns the iterations too.
+    """
+    width = plain.states.shape[1]
+    none = np.zeros((plain.states.shape[0], slipping.states.shape[1] - width))
+    before = _without_slips(slipping, plain)
+    best, iterations = None, 0
+    for states, u in starts:
+        point, count = _first_look(slipping, settings, np.hstack([states, none]), u, prior)
         iterations += count
-        slips = _slipping(slipping, point)
-        stretches = sum(len(_runs(column)) for column in slips.T)
-        seldom = float(np.mean(slips.any(axis=1))) <= SELDOM
-        if seldom and stretches and point.cost < before - GAIN * stretches:
-            stopped = "the cost falls no further" if converged else "no step lowers the cost"
-            found = finish(slipping, settings, point, iterations, converged, stopped)
-            return slipping, found
-    return problem, replace(solution, iterations=iterations)
+        if best is None or point.cost < best.cost:
+            best = point
+    # Without one stretch that counts, the gain is noise that was soaked up everywhere.
+    if best is None or best.cost > before - gain or not where_slipping(slipping, best).any():
+        return None, iterations
+    point, count, converged = minimise(slipping, settings, best.states, best.u, True, prior)
+    found = Explanation(slipping, point, converged)
+    stretches = sum(len(runs(column)) for column in found.slipping.T)
+    believed = stretches > 0 and point.cost < before - gain * stretches
+    return found if believed else None, iterations + count
 
 
 def with_slips(problem: Problem, model: SlipModel) -> Problem:
@@ -90,7 +126,8 @@ def with_slips(problem: Problem, model: SlipModel) -> Problem:
     wheels = len(base.driven)
     seconds = np.diff(problem.keyframes_ns) * 1e-9
     side = likely_side(base, problem.split, model)
-    tables = [*problem.tables, *slip_tables(model, side, seconds, slot, wheels)]
+    tables = [_wider(t, slot, wheels) if t.kind == Kind.STATE_PRIOR else t for t in problem.tables]
+    tables += slip_tables(model, side, seconds, slot, wheels)
     contradiction = redundancy_table(
         problem.split, problem.robot, problem.free, slot, problem.wheel_loss
     )
@@ -100,63 +137,42 @@ def with_slips(problem: Problem, model: SlipModel) -> Problem:
     return replace(problem, tables=tuple(tables), states=states, slip_slot=slot)
 
 
-def slip_intervals(problem: Problem, solution: Solution) -> tuple[WheelSlip, ...]:
+def _wider(prior: FactorTable, slot: int, wheels: int) -> FactorTable:
+    """Return a joint prior of state and calibration that says nothing of slips at `slot`."""
+    n = prior.dimension
+    kept = np.r_[0:slot, slot + wheels : n + wheels]
+    root = np.zeros((prior.first.size, n + wheels, n + wheels))
+    root[:, kept[:, None], kept] = prior.sqrt_information
+    rows = np.zeros((prior.first.size, 2 * (n + wheels)))
+    rows[:, kept], rows[:, n + wheels + kept] = prior.measurements[:, :n], prior.measurements[:, n:]
+    return replace(prior, measurements=rows, sqrt_information=root)
+
+
+def slips_of(problem: Problem, solution: Solution) -> tuple[WheelSlip, ...]:
     """Return when which wheel slipped by 5 % or more, in order of time; empty without slips."""
     if problem.slip_slot < 0:
         return ()
-    found = []
-    slipping = _slipping(problem, solution.point)
-    for column, name in enumerate(problem.robot.base.driven_names):
-        k = problem.slip_slot + column
-        slips = solution.point.states[1:, k]
-        sigma = np.full(slips.size, np.nan)
-        if solution.covariance is not None:
-            sigma = np.sqrt(solution.covariance[1:, k, k])
-        for begin, end in _runs(slipping[:, column]):
-            found.append(
-                WheelSlip(
-                    name,
-                    int(problem.keyframes_ns[begin]),
-                    int(problem.keyframes_ns[end]),
-                    float(slips[begin:end].mean()),
-                    float(sigma[begin:end].mean()),
-                )
-            )
-    return tuple(sorted(found, key=lambda s: (s.begin_ns, s.end_ns)))
+    names = problem.robot.base.driven_names
+    columns = slice(problem.slip_slot, problem.slip_slot + len(names))
+    slips = solution.point.states[1:, columns]
+    sigmas = np.full(slips.shape, np.nan)
+    if solution.covariance is not None:
+        sigmas = np.sqrt(np.diagonal(solution.covariance, axis1=1, axis2=2)[1:, columns])
+    slipping = where_slipping(problem, solution.point)
+    return wheel_slips(names, problem.keyframes_ns, slips, sigmas, slipping)
 
 
-def _slipping(problem: Problem, point: Point) -> npt.NDArray[np.bool_]:
+def seen_by_others(problem: Problem) -> bool:
+    """Return True if camera or fixes saw the motion as well."""
+    return any(t.kind in (Kind.CAMERA, *FIXES) and t.sensor != "start" for t in problem.tables)
+
+
+def where_slipping(problem: Problem, point: Point) -> npt.NDArray[np.bool_]:
     """Return (K-1, W): in which interval which driven wheel turns and slips."""
     wheels = len(problem.robot.base.driven)
     slips = point.states[1:, problem.slip_slot :][:, :wheels]
     rolled = np.add.reduceat(problem.split.angles, problem.split.bounds[:-1], axis=0)
     return np.asarray((np.abs(slips) > SLIPPING) & (rolled != 0.0))
-
-
-def slip_notes(problem: Problem, slips: Sequence[WheelSlip]) -> tuple[str, ...]:
-    """Return what a user should know of the slips that were found, and of those that cannot be."""
-    if problem.slip_slot < 0:
-        return ()
-    start = int(problem.keyframes_ns[0])
-    told: dict[tuple[float, float], list[str]] = {}
-    for s in slips:
-        key = (round((s.begin_ns - start) * 1e-9, 1), round((s.end_ns - start) * 1e-9, 1))
-        told.setdefault(key, []).append(f"{s.wheel} by {s.slip:.0%}")
-    shown = [f"{a} to {b} s: {', '.join(who)}" for (a, b), who in list(told.items())[:MOST]]
-    more = f", and {len(told) - MOST} stretches more" if len(told) > MOST else ""
-    notes = [f"wheels slip: {'; '.join(shown)}{more}"] if told else []
-    if not any(t.kind in (Kind.CAMERA, *FIXES) and t.sensor != "start" for t in problem.tables):
-        notes.append(
-            "without camera or fixes a slip of all wheels alike cannot be seen, and which side "
-            "slips is told only by driven wheels turning too fast and braked ones too slowly"
-        )
-    return tuple(notes)
-
-
-def _runs(mask: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return begin and end of each stretch where `mask` is true."""
-    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def _contradiction(problem: Problem) -> FactorTable | None:
@@ -182,17 +198,21 @@ def _suspect(slipping: Problem, solution: Solution) -> bool:
     return float(solution.point.linear[0].squared.max(initial=0.0)) > SUSPECT**2
 
 
-def _without_slips(slipping: Problem, point: Point, states: Floats) -> float:
+def _without_slips(slipping: Problem, point: Point) -> float:
     """Return what the drive costs without slips, the wheels' own contradictions included."""
     table = _contradiction(slipping)
     if table is None:
         return point.cost
-    own = linearise(table, states, point.u)
+    own = linearise(table, np.zeros_like(slipping.states), point.u)
     return point.cost + float(np.sum(table.loss.cost(own.squared)))
 
 
 def _first_look(
-    problem: Problem, settings: Settings, states: Floats, u: Floats
+    problem: Problem,
+    settings: Settings,
+    states: Floats,
+    u: Floats,
+    prior: CalibrationPrior | None,
 ) -> tuple[Point, int]:
     """Solve roughly with wheels that are to be believed but for their slips, then robustly.
 
@@ -206,6 +226,6 @@ def _first_look(
     rough = replace(settings, tolerance=ROUGH, max_iterations=FEW)
     point, iterations, _ = minimise(rigid, rough, states, u, True, held)
     for stage in (rigid, problem):
-        point, count, _ = minimise(stage, rough, point.states, point.u, True)
+        point, count, _ = minimise(stage, rough, point.states, point.u, True, prior)
         iterations += count
     return point, iterations
