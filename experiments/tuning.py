@@ -9,8 +9,10 @@ The search, on the logarithms of the parameters scaled to a unit cube:
 
 1. the defaults are scored;
 2. a third of the budget goes to a scrambled Sobol sequence, which covers the cube evenly;
-3. the rest goes to Nelder and Mead's simplex, first from the best point so far, then, whenever it
-   has settled, from the best of step 1 and 2 that is left.
+3. the rest goes to COBYQA, a trust region with a quadratic model and no derivatives (Ragonneau and
+   Zhang, in SciPy): first from the best point so far, then, whenever it has settled, from the best
+   of step 1 and 2 that is left. On test functions of 3 to 10 parameters it came closer to the
+   minimum than Nelder-Mead, Powell and differential evolution with the same budget.
 
 It is deterministic: the same drives, budget and seed give the same values. What is returned is the
 best point ever scored, so it is never worse than the defaults on the training drives. One search
@@ -37,15 +39,13 @@ Values = Mapping[str, float]
 Objective = Callable[[Evaluation], float]
 
 EXPLORED = 3
-"""One part in so many of the budget explores the whole cube before the simplex descends."""
-EDGE = 0.1
-"""Edge of a first simplex, in parts of each parameter's logarithmic range."""
+"""One part in so many of the budget explores the whole cube before anything descends."""
+RADIUS = 0.1
+"""Radius of the first trust region, in parts of each parameter's logarithmic range."""
 SETTLED = 1e-3
-"""A simplex smaller than this in every parameter has settled."""
+"""A descent has settled when its trust region is as small as this."""
 FEWEST = 10
 """Smallest budget that is of any use."""
-FAILED = 1e300
-"""What the simplex takes for infinite: it subtracts scores."""
 AT_LIMIT = 0.02
 """A parameter within this part of its logarithmic range from an end of it is at its limit."""
 
@@ -246,17 +246,15 @@ class _Search:
             turn = 0
             while True:
                 start = starts[turn % len(starts)]
-                # The second time round, smaller: a settled simplex may have been squeezed flat.
-                edge = EDGE / (1 + turn // len(starts))
                 minimize(
                     self._try,
                     start,
-                    method="Nelder-Mead",
+                    method="COBYQA",
                     bounds=[(0.0, 1.0)] * start.size,
                     options={
-                        "initial_simplex": _simplex(start, edge),
-                        "xatol": SETTLED,
-                        "fatol": math.inf,
+                        # Smaller the second time round, or it would score the same points.
+                        "initial_tr_radius": RADIUS / (1 + turn // len(starts)),
+                        "final_tr_radius": SETTLED,
                         "maxfev": self._budget,
                     },
                 )
@@ -280,13 +278,7 @@ class _Search:
             self.failure, score = str(error), math.inf
         self._points.append(np.array(point))
         self.trials.append(Trial(values, score))
-        return min(score, FAILED)
-
-
-def _simplex(start: Floats, edge: float) -> Floats:
-    """Return the corners (n+1, n) of a simplex in the unit cube: a step from the start along each
-    axis, inwards where it would leave the cube."""
-    corners = np.tile(start, (start.size + 1, 1))
-    for k in range(start.size):
-        corners[k + 1, k] += edge if start[k] + edge <= 1.0 else -edge
-    return corners
+        if math.isfinite(score):
+            return score
+        # A model of infinite values is of no use: a failure is as bad as the worst point known.
+        return max((t.score for t in self.trials if math.isfinite(t.score)), default=1.0)

@@ -29,7 +29,7 @@ BROKEN_PIPE = 141
 TERMINATED = 143
 """Exit status after SIGTERM, as shells report it."""
 
-METHODS = "model1,model2,model3,batch,online"
+METHODS = "model1,model2,model3,pose-ekf,rl-ekf,batch,online"
 """Methods compared unless others are asked for: all available ones (a test holds this to it)."""
 INTEGRATORS = ("exact", "midpoint", "euler")
 """Steps of Model 1; `fgloc.core.geometry.INTEGRATORS`, which cannot be imported without numpy."""

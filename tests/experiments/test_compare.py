@@ -215,6 +215,7 @@ def test_method_ids() -> None:
         "model2",
         "model3",
         "pose-ekf",
+        "rl-ekf",
         "ekf-slam",
         "batch",
         "online",

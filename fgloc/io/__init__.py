@@ -1,0 +1,1 @@
+"""What other programs write: bags, configurations, the bytes of drivers."""
