@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from fgloc.experiments.seed_a.published import CASES
-from fgloc.experiments.seed_a.runs import Ends, Entrant
+from fgloc.experiments.seed_a.runs import Ends, Entrant, Scenario
 from fgloc.experiments.seed_a.start_scan import PRINTED, Start
 
 TICK_MM = 2.827
@@ -97,11 +97,21 @@ def start_of_model3(starts: Sequence[Start]) -> str:
     )
 
 
-def wrong_start(who: Sequence[Entrant]) -> str:
+def how_they_start(who: Sequence[Entrant]) -> str:
     """Return how methods start."""
     names = ", ".join(e.title for e in who if e.nominal_track is not None)
     own = ", ".join(e.title for e in who if e.nominal_track is None)
     return (
         f"{own} are given the track of each case (0.48, 0.72, 0.9 m), as in the seed; {names} "
         "start from 0.48 m with the prior of a skid-steer base (±0.168 m)."
+    )
+
+
+def how_many(scenarios: Mapping[str, Scenario]) -> str:
+    """Return over how many seeds each noisy scenario runs."""
+    found = ", ".join(f"{key} {s.seeds}" for key, s in scenarios.items() if s.seeds)
+    return (
+        f"Seeds: {found}; a number with brackets is the median with the central 95 %. In noisy "
+        "scenarios the yaw's zero is drawn evenly within its step of 0.01 rad: the seed does not "
+        "say when, within its seven seconds, the first step of the drift comes."
     )

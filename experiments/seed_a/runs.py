@@ -95,8 +95,8 @@ class End:
 
 TITLES = {"model1": "Model 1", "model2": "Model 2", "model3": "Model 3"}
 """Headings; other methods have their id."""
-OWN_TRACK = ("model1", "model2")
-"""Methods that are given the track of each case."""
+OWN_TRACK = ("model1", "model2", "pose-ekf", "rl-ekf")
+"""Methods that do not estimate the track; they are given that of each case, as in the seed."""
 Ends = dict[tuple[str, str, str], list[End]]
 """What was found, by scenario, case and entrant; one for each seed."""
 

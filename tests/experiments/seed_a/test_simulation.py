@@ -87,7 +87,9 @@ def test_batch_finds_the_slip_without_encoder_selection() -> None:
 
 
 def test_every_method_of_this_version_takes_part(simulated: Report) -> None:
-    wanted = {"model1", "model2", "model3", "batch", "online"} | ({"pose-ekf"} & set(available()))
+    wanted = {"model1", "model2", "model3", "batch", "online"} | (
+        {"pose-ekf", "rl-ekf"} & set(available())
+    )
     (table,) = (t for t in simulated.tables if t.id == "scenario-4")
     assert {c.key for c in table.columns} == wanted | {"model3-tuned"}
 
