@@ -19,6 +19,7 @@ from fgloc.errors import FglocError
 from fgloc.estimator import Estimator, run
 from fgloc.experiments.fixes import FixSpec, with_fixes
 from fgloc.experiments.methods import create, parse
+from fgloc.io.topics import load_topics
 from fgloc.report.outcomes import (
     Comparison,
     DriveOutcome,
@@ -60,6 +61,7 @@ def compare(
     encoder_selection: bool = False,
     integrator: Integrator = "exact",
     data: Path | None = None,
+    topics_file: Path | None = None,
     progress: Progress | None = None,
     estimators: Mapping[str, Estimator] | None = None,
 ) -> Comparison:
@@ -69,16 +71,18 @@ def compare(
     all of them before the first method runs, so that a file that cannot be read is known at once.
     `fixes` adds sparse position fixes made from the truth; `robot_file` replaces the drives' own
     description; `encoder_selection` leaves one encoder a side to all methods (see
-    `fgloc.core.encoder_selection`); `progress` is told after each drive and method; `estimators`
-    are taken by method id in place of those with default settings. Raises FglocError for a drive
-    that cannot be read or whose encoders cannot be selected, a method that does not exist, or if no
+    `fgloc.core.encoder_selection`); `topics_file` says which topic of ROS bags is what; `progress`
+    is told after each drive and method; `estimators` are taken by method id in place of those with
+    default settings. Raises FglocError for a drive that cannot be read or whose encoders cannot be
+    selected, a method that does not exist, or if no
     method can run on any drive.
     """
     ids = parse(methods)
     names = expand(list(drives), data)
     loaded: list[Drive] = []
+    topics = None if topics_file is None else load_topics(topics_file)
     for name in names:
-        drive = load_drive(name, data)
+        drive = load_drive(name, data, topics)
         loaded.append(_prepared(drive, robot_file, encoder_selection, fixes, seed))
         if progress is not None:
             progress(Step(0, len(names) * len(ids), name, "", "read"))
@@ -87,6 +91,7 @@ def compare(
         None if fixes is None else (fixes.every_s, fixes.sigma_m),
         seed,
         None if robot_file is None else str(robot_file),
+        None if topics_file is None else str(topics_file),
         encoder_selection,
     )
     return compare_drives(

@@ -14,10 +14,10 @@ from collections.abc import Sequence
 from fgloc.core.drive import Drive
 from fgloc.datasets.simulator import load_sim
 from fgloc.errors import FglocError
-from fgloc.experiments.tunables import TUNABLES, tunable
+from fgloc.experiments.tunables import TUNABLE, tunable
 from fgloc.experiments.tuning import mean_score, tune
 
-DRIVE = "random?duration=60&slip=on"
+DRIVE = "random?duration=60&slip=on&camera=on&gyro=on"
 OTHERS = 1000
 """First of the seeds that nothing is tuned on."""
 
@@ -32,7 +32,7 @@ def row(
     method: str, train: Sequence[Drive], others: Sequence[Drive], budget: int, seed: int
 ) -> str:
     """Tune one method and return what came of it; raises FglocError as `tune` does."""
-    what = tunable(method)
+    what = tunable(method, train)
     found = tune(what, train, budget, seed)
     usual, tuned = (mean_score(what.build(v), others) for v in (what.defaults, found.values))
     values = ", ".join(f"{name} {value:.2g}" for name, value in found.values.items())
@@ -44,9 +44,9 @@ def row(
 def main(arguments: list[str]) -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="python -m fgloc.experiments.tune_filters")
-    parser.add_argument("--methods", default=",".join(TUNABLES), help="ids, separated by commas")
+    parser.add_argument("--methods", default=",".join(TUNABLE), help="ids, separated by commas")
     parser.add_argument("--drive", default=DRIVE, help="simulated drive without a seed")
-    parser.add_argument("--train", type=int, default=10, help="seeds to tune on")
+    parser.add_argument("--train", type=int, default=20, help="seeds to tune on")
     parser.add_argument("--test", type=int, default=40, help="seeds to judge on")
     parser.add_argument("--budget", type=int, default=100, help="evaluations for each method")
     parser.add_argument("--seed", type=int, default=0, help="seed of the search")

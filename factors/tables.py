@@ -102,7 +102,7 @@ ROW: dict[Kind, int] = {
     Kind.YAW_RATE: 2,
     Kind.ZERO_WALK: 0,
     Kind.ZERO_PRIOR: 1,
-    Kind.CAMERA: 6,
+    Kind.CAMERA: 9,
     Kind.POSITION_FIX: 4,
     Kind.POSE_FIX: 6,
     Kind.STATE_PRIOR: 0,

@@ -109,6 +109,7 @@ def _smooth(commands: Commands[argparse.ArgumentParser]) -> None:
     _save_option(parser)
     _robot_option(parser)
     _selection_option(parser)
+    _topics_option(parser)
     _common(parser, "data", "json", "out")
 
 
@@ -160,6 +161,7 @@ def _localise(commands: Commands[argparse.ArgumentParser]) -> None:
     _save_option(parser)
     _robot_option(parser)
     _selection_option(parser)
+    _topics_option(parser)
     _common(parser, "data", "json", "out")
 
 
@@ -186,6 +188,7 @@ def _compare(commands: Commands[argparse.ArgumentParser]) -> None:
     _fix_options(parser)
     _robot_option(parser)
     _selection_option(parser)
+    _topics_option(parser)
     _common(parser, "data", "json", "out")
 
 
@@ -221,6 +224,7 @@ def _datasets(commands: Commands[argparse.ArgumentParser]) -> None:
     _common(listing, "data", "json")
     info = _command(inner, "info", "what a drive holds")
     info.add_argument("drive", metavar="DRIVE", help=DRIVE)
+    _topics_option(info)
     _common(info, "data", "json")
     fetch = _command(inner, "fetch", "download a dataset from its public origin, checked")
     fetch.add_argument("name", metavar="NAME", help="a dataset's name, see `fgloc datasets list`")
@@ -234,6 +238,7 @@ def _datasets(commands: Commands[argparse.ArgumentParser]) -> None:
     )
     convert.add_argument("drive", metavar="DRIVE", help=DRIVE)
     convert.add_argument("file", metavar="FILE", type=Path, help="target; ends in .npz or .csv")
+    _topics_option(convert)
     _common(convert, "data")
 
 
@@ -337,6 +342,16 @@ def _selection_option(parser: argparse.ArgumentParser) -> None:
         "--encoder-selection",
         action="store_true",
         help="of the encoders on a side believe one: the slowest, or the fastest when braking",
+    )
+
+
+def _topics_option(parser: argparse.ArgumentParser) -> None:
+    """Add --topics."""
+    parser.add_argument(
+        "--topics",
+        metavar="FILE",
+        type=Path,
+        help="TOML file that says which topic of a ROS bag is what (default: guessed)",
     )
 
 

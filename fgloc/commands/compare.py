@@ -65,6 +65,7 @@ def compare_with_progress(
             encoder_selection=args.encoder_selection,
             integrator=integrator,
             data=args.data,
+            topics_file=args.topics,
             progress=tell,
             estimators=estimators,
         )
@@ -109,6 +110,7 @@ def _common(args: argparse.Namespace) -> dict[str, Any]:
         "fixes": args.fixes,
         "seed": args.seed,
         "robot": None if args.robot is None else str(args.robot),
+        "topics": None if args.topics is None else str(args.topics),
         "encoder_selection": args.encoder_selection,
         "data": None if args.data is None else str(args.data),
     }

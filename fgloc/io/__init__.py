@@ -1,1 +1,1 @@
-"""What other programs write: bags, configurations, the bytes of drivers."""
+"""What other programs write: ROS bags, configurations, the bytes of drivers."""

@@ -184,7 +184,7 @@ class CameraStream(Stream):
     ) -> None:
         super().__init__(sensor.sensor, window, touch)
         self.noise = sensor
-        self.table = window.table(Kind.CAMERA, sensor.sensor, (6, 3), place.block, loss)
+        self.table = window.table(Kind.CAMERA, sensor.sensor, (9, 3), place.block, loss)
 
     def look(self, begin_ns: int, end_ns: int) -> None:
         """Make the rows of intervals with an end between two stamps."""
@@ -198,7 +198,7 @@ class CameraStream(Stream):
                 continue
             motion = between(first, second)
             sigma = camera_sigma(self.noise, motion[None], w.rounding)[0]
-            row = np.concatenate([motion, self.noise.mount])
+            row = np.concatenate([motion, self.noise.mount, w.predicted(number)])
             self.table.add(number, row, np.diag(1.0 / sigma))
             self.touch(number + 1)
 

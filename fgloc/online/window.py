@@ -18,7 +18,7 @@ from fgloc.factors.tables import FactorTable, Kind
 from fgloc.online.growing import GrowingArray
 from fgloc.online.layout import Layout
 from fgloc.online.live_table import LiveTable
-from fgloc.smoothing.problem import HIDDEN, Problem
+from fgloc.smoothing.problem import HIDDEN, Problem, predicted_displacement
 
 WHEELS = "wheels"
 """Name under which the wheels' factors are counted."""
@@ -59,6 +59,8 @@ class Window:
         self.wheels = self.table(Kind.WHEEL, WHEELS, (3 + 4 * f, 3), slice(0, f), wheel_loss)
         # The calibration at which the wheels' displacements were integrated last.
         self._reference = np.zeros(n - layout.width)
+        # The newest calibration: what the wheels predict for other sensors is taken there.
+        self._latest = np.zeros(n - layout.width)
         self.prior: FactorTable | None = None
         # What elimination carried to each keyframe (square-root information of its state and the
         # calibration by everything older), and where it was linearised.
@@ -109,6 +111,7 @@ class Window:
 
     def close_interval(self, calibration: Floats) -> None:
         """Make the wheels' factor between the two newest keyframes."""
+        self._latest = calibration.copy()
         table = self._wheel_table(self.newest - 1, calibration)
         self.wheels.add(
             self.newest - 1, table.measurements[0], table.sqrt_information[0], weight=1.0
@@ -164,6 +167,17 @@ class Window:
             table = self._wheel_table(self.base, calibration)
             self.wheels.measurements.view[:] = table.measurements
             self.wheels.sqrt_information.view[:] = table.sqrt_information
+            moved = predicted_displacement(table, calibration)
+            for live in self.tables.values():
+                if live.kind == Kind.CAMERA:
+                    live.measurements.view[:, 6:9] = moved[live.first.view - self.base]
+
+    def predicted(self, number: int) -> Floats:
+        """Return the (3,) displacement from keyframe `number` to the next that wheels predict."""
+        rows = self.wheels.rows(number, number + 2)
+        table = self.wheels.view(rows, number)
+        moved: Floats = predicted_displacement(table, self._latest)[0]
+        return moved
 
     def slips_until(self, count: int) -> list[tuple[int, int, Floats, Floats]]:
         """Return begin, end [ns], slips and sigmas (D,) of the first `count` intervals that have

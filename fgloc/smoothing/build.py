@@ -152,8 +152,11 @@ def _add_yaw_rate(b: _Builder, sensor: YawRate, loss: Loss) -> None:
     )
 
 
-def _add_camera(b: _Builder, sensor: CameraPoses, loss: Loss) -> None:
-    """Add one relative-motion factor a keyframe interval, with mounting and scale as variables."""
+def _add_camera(b: _Builder, sensor: CameraPoses, predicted: Floats, loss: Loss) -> None:
+    """Add one relative-motion factor a keyframe interval, with mounting and scale as variables.
+
+    `predicted` (K-1, 3) are the wheels' displacements.
+    """
     poses, valid = camera_at(sensor, b.keyframes_ns)
     first = np.flatnonzero(valid[1:] & valid[:-1])
     b.counts[sensor.sensor] = (first.size, valid.size - 1 - first.size)
@@ -166,7 +169,7 @@ def _add_camera(b: _Builder, sensor: CameraPoses, loss: Loss) -> None:
             Kind.CAMERA,
             sensor.sensor,
             first.astype(np.int64),
-            np.concatenate([motion, nominal], axis=1),
+            np.concatenate([motion, nominal, predicted[first]], axis=1),
             diagonal(camera_sigma(sensor, motion, b.rounding)),
             b.block(sensor.sensor, camera_parameters(sensor)),
             loss,
@@ -229,7 +232,8 @@ def build_problem(drive: Drive, settings: Settings) -> Problem:
     split = split_at(drive.wheels, keyframes)
     rounding = rounding_sigma(drive.robot, drive.wheels.resolution)
     builder = _Builder(keyframes, drive.robot, rounding)
-    guess = first_guess(drive, keyframes, preintegrate(split, drive.robot))
+    wheels = preintegrate(split, drive.robot)
+    guess = first_guess(drive, keyframes, wheels)
     robust = settings.robust
     _add_start(builder, drive, guess.start, guess.start_sigma)
     for yaw in drive.each(Yaw):
@@ -237,7 +241,8 @@ def build_problem(drive: Drive, settings: Settings) -> Problem:
     for gyro in drive.each(YawRate):
         _add_yaw_rate(builder, gyro, settings.yaw_loss if robust else PLAIN)
     for camera in drive.each(CameraPoses):
-        _add_camera(builder, camera, settings.camera_loss if robust else PLAIN)
+        loss = settings.camera_loss if robust else PLAIN
+        _add_camera(builder, camera, wheels.displacement, loss)
     for fixes in absolute_fixes(drive):
         _add_fixes(builder, fixes, settings.fix_loss if robust else PLAIN)
     states = np.zeros((keyframes.size, builder.width))

@@ -13,7 +13,7 @@ from fgloc.core.measurements import Floats
 from fgloc.factors.tables import FactorTable, Linearised, linearise
 from fgloc.smoothing.arrow import ArrowSolution, ChainRows, solve, stack
 from fgloc.smoothing.elimination import solve_with_gtsam
-from fgloc.smoothing.problem import Problem, without_loss
+from fgloc.smoothing.problem import Problem, predicting, without_loss
 from fgloc.smoothing.settings import Settings
 
 FIRST_DAMPING = 1e-4
@@ -191,7 +191,6 @@ def minimise(
 ) -> tuple[Point, int, bool]:
     """Run Gauss–Newton with Levenberg–Marquardt damping where a plain step does not help."""
     prior = CalibrationPrior.of(problem) if prior is None else prior
-    tables = problem.tables if robust else tuple(without_loss(t) for t in problem.tables)
 
     def wheel_table(at: Floats, states: Floats) -> FactorTable:
         table = problem.wheel_table(at, whitening, states)
@@ -199,6 +198,9 @@ def minimise(
 
     whitening: Floats | None = None
     wheels = wheel_table(u, states)
+    tables = tuple(
+        predicting(t if robust else without_loss(t), wheels, states, u) for t in problem.tables
+    )
     # The weights of one run stay those of its first linearisation: costs must be comparable.
     whitening = wheels.sqrt_information
     point = _evaluate(prior, states, u, tables, wheels)

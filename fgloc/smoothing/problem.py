@@ -48,6 +48,10 @@ def physical_values(
     return values
 
 
+SLIPPING = 0.05
+"""Slip from which on a wheel is said to slip."""
+
+
 @dataclass(frozen=True)
 class Problem:
     """The graph of one drive: what the engines linearise and solve."""
@@ -220,6 +224,32 @@ def _inverse_cholesky(covariance: Floats, out: Floats) -> bool:
         w[2, 1] = -l21 * w[1, 1] * w[2, 2]
         w[2, 0] = -(l20 * w[0, 0] + l21 * w[1, 0]) * w[2, 2]
     return True
+
+
+def predicting(table: FactorTable, wheels: FactorTable, states: Floats, u: Floats) -> FactorTable:
+    """Return a camera's table with what the wheels predict; others as they are.
+
+    `wheels` holds one row a keyframe interval, in order; `states` (K, B) matter for slips only.
+    """
+    if table.kind != Kind.CAMERA:
+        return table
+    rows = table.measurements.copy()
+    moved = predicted_displacement(wheels, u)
+    if wheels.slot >= 0:
+        effect = wheels.measurements[:, 3 + 4 * wheels.calibration.stop :].reshape(*moved.shape, -1)
+        slips = states[1:, wheels.slot : wheels.slot + effect.shape[2]]
+        # Slips that are no more than noise would bring the noise of the poses in.
+        clear = np.where(np.abs(slips) > SLIPPING, slips, 0.0)
+        moved += np.einsum("kaw,kw->ka", effect, clear)
+    rows[:, 6:9] = moved[table.first - wheels.first[0]]
+    return replace(table, measurements=rows)
+
+
+def predicted_displacement(wheels: FactorTable, u: Floats) -> Floats:
+    """Return the (M, 3) displacements of a wheel table at calibration u (G,), without slips."""
+    f = wheels.calibration.stop
+    m = wheels.measurements
+    return np.asarray(m[:, :3] + m[:, 3 : 3 + 3 * f].reshape(-1, 3, f) @ u[:f])
 
 
 def diagonal(sigma: Floats) -> Floats:

@@ -22,7 +22,7 @@ from fgloc.factors.slip import SlipModel, likely_side, redundancy_table, slip_ta
 from fgloc.factors.tables import FactorTable, Kind, linearise
 from fgloc.smoothing.minimise import CalibrationPrior, Point, minimise
 from fgloc.smoothing.optimise import Solution, finish
-from fgloc.smoothing.problem import FIXES, Problem
+from fgloc.smoothing.problem import FIXES, SLIPPING, Problem
 from fgloc.smoothing.settings import Settings
 from fgloc.smoothing.slip_report import runs, wheel_slips
 
@@ -42,8 +42,6 @@ FEW = 15
 """Linearisations of each of its stages at most."""
 SELDOM = 0.4
 """Part of a drive up to which wheels may slip; beyond it, rather a sensor is wrong."""
-SLIPPING = 0.05
-"""Slip from which on a wheel is said to slip."""
 
 
 @dataclass(frozen=True)

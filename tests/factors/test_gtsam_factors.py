@@ -52,7 +52,7 @@ SINGLE: dict[str, list[FactorTable]] = {
     "fix": [FIX],
     "pose fix": [table(Kind.POSE_FIX, 2, 6, 3, ALL)],
     "joint prior": [table(Kind.STATE_PRIOR, 2, 18, 9, slice(0, 5))],
-    "camera": [table(Kind.CAMERA, 1, 6, 3, slice(1, 5))],
+    "camera": [table(Kind.CAMERA, 1, 9, 3, slice(1, 5))],
     "standing still": [table(Kind.ZERO_VELOCITY, 1, 3, 3, ALL)],
     "wall": [table(Kind.WALL, 2, 8, 2, ALL, second=1)],
     "point": [table(Kind.RANGE_BEARING, 2, 5, 2, slice(0, 3), second=2)],

@@ -51,10 +51,14 @@ def test_camera_sees_the_base_motion_from_its_mount(pair: tuple[Floats, Floats])
     mount = pose2(nominal + g[:3])
     seen = mount.inverse().compose(pose2(xi).between(pose2(xj))).compose(mount)
     scaled = gtsam.Pose2(1.04 * seen.x(), 1.04 * seen.y(), seen.theta())
-    r = evaluate(Kind.CAMERA, xi, xj, g, np.concatenate([np.zeros(3), nominal]), -1)[0]
+    moved = pose2(xi).between(pose2(xj))
+    predicted = np.array([moved.x(), moved.y(), moved.theta()])
+    m = np.concatenate([np.zeros(3), nominal, predicted])
+    r = evaluate(Kind.CAMERA, xi, xj, g, m, -1)[0]
     same_pose(r, scaled)
     motion = np.array([0.5, 0.6, -1.0])
-    shifted = evaluate(Kind.CAMERA, xi, xj, g, np.concatenate([motion, nominal]), -1)[0]
+    m = np.concatenate([motion, nominal, predicted])
+    shifted = evaluate(Kind.CAMERA, xi, xj, g, m, -1)[0]
     np.testing.assert_allclose(wrap(r - motion)[2] - shifted[2], 0.0, atol=1e-12)
     np.testing.assert_allclose(r[:2] - motion[:2], shifted[:2], atol=1e-12)
 
@@ -203,3 +207,22 @@ def test_slip_and_calibration_last() -> None:
     np.testing.assert_allclose(r, -0.03, atol=1e-15)
     r = evaluate(Kind.CALIBRATION_WALK, xi, xj, none, np.zeros(1), -1)[0]
     np.testing.assert_allclose(r, [0.5, 0.0, 6.0, -0.05], atol=1e-15)
+
+
+def test_slopes_of_a_camera_s_calibration_are_free_of_the_noise_of_poses(
+    pair: tuple[Floats, Floats],
+) -> None:
+    """Only the prediction of the wheels may enter the slopes by lever arm and scale."""
+    xi, xj = pair
+    m = np.array([0.1, 0.0, 0.02, 0.2, -0.1, 0.5, 0.11, 0.01, 0.03])
+    moved = np.array([*xj[:2] + 0.3, xj[2] - 0.4])
+    g = np.array([0.03, 0.02, -0.1, 0.04])
+    _, _, _, one = evaluate(Kind.CAMERA, xi, xj, g, m, -1)
+    _, _, _, other = evaluate(Kind.CAMERA, xi, moved, g, m, -1)
+    np.testing.assert_allclose(one[:, [0, 1, 3]], other[:, [0, 1, 3]], atol=1e-12)
+    # By hand, at the nominal mount turned by 0.4: the base moves by (0.11, 0.01), turns by 0.03.
+    c, s = math.cos(0.03) - 1.0, math.sin(0.03)
+    x = 0.11 + c * 0.23 - s * -0.08
+    y = 0.01 + s * 0.23 + c * -0.08
+    by_scale = math.cos(0.4) * x + math.sin(0.4) * y, -math.sin(0.4) * x + math.cos(0.4) * y
+    np.testing.assert_allclose(one[:2, 3], by_scale, atol=1e-12)

@@ -46,7 +46,7 @@ CASES: list[tuple[Kind, int, int, int]] = [
     (Kind.YAW_RATE, 3, 0, 2),
     (Kind.ZERO_WALK, 3, 0, 1),
     (Kind.ZERO_PRIOR, 3, 0, 1),
-    (Kind.CAMERA, -1, 4, 6),
+    (Kind.CAMERA, -1, 4, 9),
     (Kind.POSITION_FIX, -1, 0, 4),
     (Kind.POSITION_FIX, -1, 2, 4),
     (Kind.POSE_FIX, -1, 0, 6),

@@ -19,7 +19,7 @@ from fgloc.online.replay import packets
 from fgloc.online.settings import OnlineSettings
 from fgloc.smoothing.batch import BatchSmoother
 from fgloc.smoothing.build import build_problem
-from fgloc.smoothing.problem import HIDDEN
+from fgloc.smoothing.problem import HIDDEN, predicting
 
 from .driving import engine_for, run
 
@@ -51,7 +51,11 @@ def test_streams_make_the_rows_that_batch_makes() -> None:
                 - table.measurements[:, 0]
                 - wrap(measured[:, 0] - table.measurements[:, 0])
             )
-        np.testing.assert_allclose(measured, table.measurements, atol=1e-9, err_msg=table.sensor)
+        expected = table.measurements
+        if table.kind == Kind.CAMERA:
+            # What the wheels predict depends on the calibration of the time; see below.
+            measured, expected = measured[:, :6], expected[:, :6]
+        np.testing.assert_allclose(measured, expected, atol=1e-9, err_msg=table.sensor)
         np.testing.assert_allclose(
             live.sqrt_information.view, table.sqrt_information, rtol=1e-9, err_msg=table.sensor
         )
@@ -64,6 +68,12 @@ def test_streams_make_the_rows_that_batch_makes() -> None:
     np.testing.assert_allclose(window.wheels.measurements.view, wheels.measurements, atol=1e-9)
     np.testing.assert_allclose(
         window.wheels.sqrt_information.view, wheels.sqrt_information, rtol=1e-9, atol=1e-9
+    )
+    camera = next(t for t in problem.tables if t.kind == Kind.CAMERA)
+    np.testing.assert_allclose(
+        window.tables[camera.sensor, camera.kind].measurements.view,
+        predicting(camera, wheels, problem.states, u).measurements,
+        atol=1e-9,
     )
 
 
