@@ -99,12 +99,12 @@ def paths_figure(
                         paths[e.id] = found.poses
                 row.append(Paths(f"{case}, {name}", paths, truth.trajectory.poses))
             rows.append(row)
-        return plot_paths(rows, "Paths with slipping wheels", path)
+        return plot_paths(rows, "Paths with slipping wheels (online: as emitted)", path)
 
     return Figure(
         "slip-paths",
         "Paths by method where wheels slip: two wheels by 20 %, the same by 40 counts a packet, "
-        "both left wheels by 20 %.",
+        "both left wheels by 20 %. Online is drawn as emitted: it jumps where slip is found.",
         draw,
     )
 

@@ -70,8 +70,9 @@ def selection(ends: Ends) -> Iterator[str]:
     short = 1e3 * (mean["slip20noise-selection"] - mean["noise"])
     yield (
         "Encoder selection with noisy counts takes the smaller of two, which is short by a sixth "
-        f"of a count on average: {40 * TICK_MM / 6.0:.1f} mm in the 40 packets of the straight "
-        f"run; found are {-short:.1f} mm."
+        "of a count on average. In the straight run that happens to 30 packets on the left and 35 "
+        "on the right, in which no wheel slips: "
+        f"{65 / 2 * TICK_MM / 6.0:.1f} mm; found are {-short:.1f} mm."
     )
     lines = []
     for case in CASES:

@@ -135,9 +135,9 @@ def build(entrant: Entrant) -> Estimator:
     from fgloc.experiments.methods import create
 
     if entrant.tuned:
-        from fgloc.experiments.tunables import tunable
+        from fgloc.experiments.tunables import TUNABLE
 
-        return tunable(entrant.method).build(dict(entrant.tuned))
+        return TUNABLE[entrant.method][1](dict(entrant.tuned))
     return create(entrant.method, integrator="midpoint")
 
 

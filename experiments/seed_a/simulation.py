@@ -40,7 +40,7 @@ from fgloc.experiments.seed_a.tables import (
     printed_table,
     track_table,
 )
-from fgloc.experiments.seed_a.tuned import Training, entrant, noise_table, train
+from fgloc.experiments.seed_a.tuned import Training, noise_table, train, with_tuned
 from fgloc.experiments.tuning import Tuned
 from fgloc.report.experiment_report import Report, Table
 
@@ -58,24 +58,34 @@ SCENARIOS = (
     Scenario("slip40ticks-selection", "seed-a-{case}-slip40ticks", selection=True),
     Scenario("noise", "seed-a-{case}-noise", seeds=200),
     # Fewer than of scenario 2: the smoothers look for slip, which takes several times as long.
-    Scenario("slip20noise", "seed-a-{case}-slip20noise", seeds=40),
+    Scenario("slip20noise", "seed-a-{case}-slip20noise", seeds=30),
     Scenario("slip20noise-selection", "seed-a-{case}-slip20noise", seeds=20, selection=True),
     Scenario(
-        "slip20noise-selection-acc", "seed-a-{case}-slip20noise", "acc=on", seeds=20, selection=True
+        "slip20noise-selection-acc", "seed-a-{case}-slip20noise", "acc=on", seeds=10, selection=True
     ),
 )
 """What is driven, in all three cases."""
 TRIALS = 100
 """Settings that tuning tries."""
-TRAINED_ON = ("noise", "slip20noise")
-"""Scenarios that Model 3 is tuned on, with other seeds."""
-TUNED_IN = ("ideal", "noise", "slip20", "slip40ticks", "bothleft", "allwheels", "slip20noise")
-"""Scenarios that it then runs in."""
+TRAINED_ON = {
+    "model3": ("noise", "slip20noise"),
+    "pose-ekf": ("bothleft-camera",),
+    "rl-ekf": ("bothleft-camera",),
+}
+"""Scenarios that the filters are tuned on, with other seeds."""
+TUNED_IN = {
+    **dict.fromkeys(
+        ("ideal", "noise", "slip20", "slip40ticks", "bothleft", "allwheels", "slip20noise"),
+        ("model3",),
+    ),
+    "bothleft-camera": ("pose-ekf", "rl-ekf"),
+}
+"""Filters that run with the tuned noise, by scenario."""
 
 EVERYONE = ("model1", "model2", "model3", "batch", "online")
 """Methods of every scenario."""
-WITH_CAMERA = ("model1", "model2", "model3", "pose-ekf", "rl-ekf", "batch", "online")
-"""Methods where there is a camera."""
+WITH_CAMERA = ("pose-ekf", "rl-ekf", "batch", "online")
+"""Methods that use a camera, where there is one."""
 
 
 def run(context: Context) -> Report:
@@ -96,23 +106,29 @@ def run(context: Context) -> Report:
             CHUNK,
         )
     ]
-    training = Training("model3", tuple(scenarios[k] for k in TRAINED_ON), budget=TRIALS)
+    trainings = [
+        Training(one, tuple(scenarios[key] for key in keys), TRIALS)
+        for method, keys in TRAINED_ON.items()
+        for one in entrants(method)
+    ]
     # The longest first, so that no process waits for it at the end.
-    tasks: list[Task] = [training, *TRACKS, *jobs]
+    tasks: list[Task] = [*trainings, *TRACKS, *jobs]
     found = context.map(_work, tasks, _describe)
-    tuned: Tuned = found[0]
-    starts = [s for line in found[1 : 1 + len(TRACKS)] for s in line]
-    ends = gather(jobs, found[1 + len(TRACKS) :])
-    # A filter alone takes less time than starting processes for it.
+    tuned: list[Tuned] = found[: len(trainings)]
+    starts = [s for line in found[len(trainings) : -len(jobs)] for s in line]
+    ends = gather(jobs, found[-len(jobs) :])
+    better = {t.entrant.id: with_tuned(t.entrant, r) for t, r in zip(trainings, tuned, strict=True)}
+    # Filters alone take less time than starting processes for them.
     more = [
-        Job(j.scenario, j.case, j.seeds, (entrant(tuned, "Model 3"),))
+        Job(j.scenario, j.case, j.seeds, tuple(better[m] for m in TUNED_IN[j.scenario.key]))
         for j in jobs
         if j.scenario.key in TUNED_IN
     ]
     ends |= gather(more, [run_job(job) for job in more])
+    noise = [noise_table(t, r) for t, r in zip(trainings, tuned, strict=True)]
     return Report(
         "Seed A, simulated cases",
-        (*_tables(scenarios, ends, entrant(tuned, "Model 3")), noise_table(tuned, training)),
+        (*_tables(scenarios, ends, better), *noise),
         tuple(_notes(scenarios, ends, starts)),
         (
             draws_figure(scenarios["noise"], entrants(*EVERYONE), ends),
@@ -132,8 +148,8 @@ def run(context: Context) -> Report:
         {
             "seeds": {key: s.seeds for key, s in scenarios.items()},
             "drives": {key: f"sim:{s.drive}" for key, s in scenarios.items()},
-            "methods": [e.id for e in entrants(*WITH_CAMERA)],
-            "model3_tuned": dict(tuned.values),
+            "methods": [e.id for e in entrants(*EVERYONE, *WITH_CAMERA[:2])],
+            "tuned": {t.method: dict(t.values) for t in tuned},
         },
         {
             f"{scenario}-{case}/{who}": several[0].trajectory
@@ -158,11 +174,13 @@ def _work(task: Task) -> Any:
 def _describe(task: Task) -> str:
     """Return what a piece of work was, for a line of progress."""
     if isinstance(task, Training):
-        return f"{task.method} tuned"
+        return f"{task.entrant.id} tuned"
     return describe(task) if isinstance(task, Job) else f"model3 from a track of {task:g} m"
 
 
-def _tables(scenarios: Mapping[str, Scenario], ends: Ends, tuned: Entrant) -> Iterator[Table]:
+def _tables(
+    scenarios: Mapping[str, Scenario], ends: Ends, tuned: Mapping[str, Entrant]
+) -> Iterator[Table]:
     """Yield the printed tables, then what the seed did not print."""
 
     def named(**names: str) -> list[tuple[Scenario, str]]:
@@ -179,11 +197,14 @@ def _tables(scenarios: Mapping[str, Scenario], ends: Ends, tuned: Entrant) -> It
     yield comparison_table(
         "scenario-4",
         "Scenario 4: both left wheels (and, for comparison, all four) slip 20 % from 3 s to 5 s",
-        named(
-            bothleft="left, yaw",
-            bothleft_camera="left, yaw and camera",
-            allwheels="all four, yaw",
-        ),
+        named(bothleft="left", allwheels="all four"),
+        everyone,
+        ends,
+    )
+    yield comparison_table(
+        "scenario-4-camera",
+        "Scenario 4 with camera odometry: both left wheels slip",
+        named(bothleft_camera=""),
         _beside(entrants(*WITH_CAMERA), tuned),
         ends,
     )
@@ -215,15 +236,15 @@ def _tables(scenarios: Mapping[str, Scenario], ends: Ends, tuned: Entrant) -> It
     )
 
 
-def _beside(who: Sequence[Entrant], tuned: Entrant) -> tuple[Entrant, ...]:
-    """Return the entrants with the tuned one behind its original, if that is one of them."""
-    return tuple(x for e in who for x in ((e, tuned) if e.id == tuned.method else (e,)))
+def _beside(who: Sequence[Entrant], tuned: Mapping[str, Entrant]) -> tuple[Entrant, ...]:
+    """Return the entrants, each followed by itself with tuned noise where that exists."""
+    return tuple(x for e in who for x in ((e, tuned[e.id]) if e.id in tuned else (e,)))
 
 
 def _notes(scenarios: Mapping[str, Scenario], ends: Ends, starts: list[Start]) -> Iterator[str]:
     """Yield the sentences below the tables."""
     smoothers = entrants("batch", "online")
-    yield remarks.how_they_start(entrants(*WITH_CAMERA))
+    yield remarks.how_they_start(entrants(*EVERYONE, *WITH_CAMERA[:2]))
     yield remarks.how_many(scenarios)
     yield remarks.scenario_3(ends, entrants("model3", "batch", "online"))
     yield from remarks.scenario_4(ends, smoothers)

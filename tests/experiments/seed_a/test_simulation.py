@@ -51,10 +51,13 @@ def test_all_tables_are_filled(simulated: Report) -> None:
         *(f"table-3.{n}" for n in range(1, 7)),
         "scenario-1",
         "scenario-4",
+        "scenario-4-camera",
         "scenario-5",
         "encoder-selection",
         "effective-track",
         "model3-noise",
+        "pose-ekf-noise",
+        "rl-ekf-noise",
     ]
     for table in simulated.tables:
         keys = {c.key for c in table.columns}
@@ -87,11 +90,17 @@ def test_batch_finds_the_slip_without_encoder_selection() -> None:
 
 
 def test_every_method_of_this_version_takes_part(simulated: Report) -> None:
-    wanted = {"model1", "model2", "model3", "batch", "online"} | (
-        {"pose-ekf", "rl-ekf"} & set(available())
-    )
-    (table,) = (t for t in simulated.tables if t.id == "scenario-4")
-    assert {c.key for c in table.columns} == wanted | {"model3-tuned"}
+    columns = {
+        t.id: [c.key for c in t.columns]
+        for t in simulated.tables
+        if t.id in ("scenario-4", "scenario-4-camera")
+    }
+    tuned = {"model3-tuned", "pose-ekf-tuned", "rl-ekf-tuned"}
+    assert {m for keys in columns.values() for m in keys} == {
+        m for m in available() if m != "ekf-slam"
+    } | tuned
+    assert columns["scenario-4"][2:4] == ["model3", "model3-tuned"]
+    assert columns["scenario-4-camera"][:2] == ["pose-ekf", "pose-ekf-tuned"]
 
 
 def test_run_folder(simulated: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,7 +119,7 @@ def test_run_folder(simulated: Report, tmp_path: Path, monkeypatch: pytest.Monke
     errors = document["data"]["end_errors"]["noise"]["spin"]["model1"]
     assert set(errors) == {"x_m", "y_m", "heading_deg", "effective_track_m"}
     assert len(errors["x_m"]) == document["settings"]["seeds"]["noise"] == 2
-    assert set(document["settings"]["model3_tuned"]) == {
+    assert set(document["settings"]["tuned"]["model3"]) == {
         "heading_variance",
         "track_variance",
         "yaw_variance",
