@@ -27,12 +27,10 @@ constructor in `fgloc.core.bases`, optionally `motion`. In the short form these 
 
 from __future__ import annotations
 
-import inspect
 import io
 import json
 import re
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -42,7 +40,6 @@ import numpy as np
 import numpy.typing as npt
 
 from fgloc.atomic import write_text
-from fgloc.core import bases
 from fgloc.core.drive import Drive, Reference
 from fgloc.core.kinematics import WheeledBase
 from fgloc.core.measurements import (
@@ -54,6 +51,7 @@ from fgloc.core.measurements import (
     Yaw,
     YawRate,
 )
+from fgloc.core.named_bases import make_base
 from fgloc.core.robot import Robot
 from fgloc.core.trajectory import Trajectory
 from fgloc.datasets.intervals import usable_increments
@@ -71,15 +69,6 @@ from fgloc.datasets.text import (
 from fgloc.errors import FglocError
 
 MAGIC = f"# {FORMAT} {VERSION}"
-BASES: dict[str, Callable[..., WheeledBase]] = {
-    "differential": bases.differential,
-    "skid-steer": bases.skid_steer,
-    "mecanum": bases.mecanum,
-    "omni-3": bases.omni3,
-    "tricycle": bases.tricycle,
-    "4wis4wid": bases.four_wheel_steer,
-}
-"""Constructors that the short header may name by the `kind` of what they make."""
 MOST_COLUMNS = 100_000
 """No array is wider; a number that large in a header is damage."""
 
@@ -276,22 +265,11 @@ def _nothing_left(streams: dict[str, Stream], path: Path) -> None:
 
 def _base(header: dict[str, Any], path: Path) -> WheeledBase:
     """Return the base that a short header describes."""
-    arguments = dict(header["robot"]) if isinstance(header.get("robot"), dict) else {}
-    kind = arguments.pop("kind", None)
-    arguments.pop("name", None)
-    if not isinstance(kind, str) or kind not in BASES:
-        raise FglocError(f"robot.kind is {kind!r}, known are {', '.join(BASES)}", file=path, line=2)
-    signature = inspect.signature(BASES[kind])
-    needed = [p.name for p in signature.parameters.values() if p.default is p.empty]
-    missing = [name for name in needed if name not in arguments]
-    if missing:
-        message = f"robot: {kind} needs {', '.join(needed)}; {missing[0]} is missing"
-        raise FglocError(message, file=path, line=2)
+    robot = header["robot"] if isinstance(header.get("robot"), dict) else {}
     try:
-        signature.bind(**arguments)
-        return BASES[kind](**arguments)
-    except (TypeError, ValueError, KeyError, FglocError) as error:
-        raise FglocError(f"robot: {error}", file=path, line=2) from None
+        return make_base(robot, "robot")
+    except FglocError as error:
+        raise FglocError(str(error), file=path, line=2) from None
 
 
 def _short(

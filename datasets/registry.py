@@ -8,82 +8,25 @@ from __future__ import annotations
 import difflib
 import os
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 from fgloc.core.drive import Drive
-from fgloc.datasets import (
-    jackal_jackass,
-    jaguar,
-    jaguar_lines,
-    optiodom,
-    own_csv,
-    own_format,
-    vitko_swerve,
-)
+from fgloc.datasets import jaguar, jaguar_lines, own_csv, own_format
+from fgloc.datasets.catalogue import DATASETS as DATASETS
+from fgloc.datasets.catalogue import Dataset
 from fgloc.datasets.plausible import check_plausible
 from fgloc.datasets.text import read_bytes
 from fgloc.errors import FglocError
+from fgloc.io.bag_drive import BagDrive, read_bag
+from fgloc.io.bags import MAGIC as BAG_MAGIC
+from fgloc.io.bags import SUFFIXES as BAG_SUFFIXES
+from fgloc.io.bags import is_bag
+from fgloc.io.topics import TopicMap, load_topics
 
 SIMULATED = "sim"
 """Prefix of drives that are made, not read: `sim:NAME?seed=1&key=value`."""
-
-
-@dataclass(frozen=True)
-class Dataset:
-    """A family of recordings that this package can read."""
-
-    name: str
-    """Name in ids and of the folder below a data folder."""
-    robot: str
-    """What drove, for the user."""
-    licence: str
-    """Terms of the recordings."""
-    origin: str
-    """Where it is published."""
-    example: str
-    """One run, for messages."""
-    runs: Callable[[Path], list[str]]
-    """Lists the runs in the dataset's folder."""
-    load: Callable[[Path, str, str], Drive]
-    """Reads (folder, run, id of the drive)."""
-
-
-DATASETS: dict[str, Dataset] = {
-    d.name: d
-    for d in (
-        Dataset(
-            vitko_swerve.NAME,
-            "four-wheel-steer wall climber",
-            "none stated; research data",
-            "https://github.com/JakVit/4WIS4WID_parameter_calibration",
-            "1",
-            vitko_swerve.runs,
-            vitko_swerve.load,
-        ),
-        Dataset(
-            optiodom.NAME,
-            "differential, omni-3, mecanum, tricycle",
-            "MIT",
-            "https://github.com/sousarbarb/optiodom",
-            "diff/circular/250620202251/01",
-            optiodom.runs,
-            optiodom.load,
-        ),
-        Dataset(
-            jackal_jackass.NAME,
-            "Clearpath Jackal, skid-steer",
-            "MIT (stated in its README)",
-            "https://github.com/LeoBrizi/jackass-calibrator",
-            "0",
-            jackal_jackass.runs,
-            jackal_jackass.load,
-        ),
-    )
-}
-"""All readable datasets by name."""
 
 
 def cache_folder() -> Path:
@@ -166,28 +109,49 @@ def expand(drive_ids: Sequence[str], data: Path | None = None) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def load_drive(drive_id: str, data: Path | None = None) -> Drive:
+def load_drive(
+    drive_id: str, data: Path | None = None, topics: Path | TopicMap | None = None
+) -> Drive:
     """Return the drive a user named: a path, `dataset:run` or `sim:NAME?seed=1&key=value`.
 
-    `data` is searched before $FGLOC_DATA and the user's cache. Raises FglocError for an unknown
-    dataset or run, a dataset that is not here, a missing file, content that cannot be read, or
+    `data` is searched before $FGLOC_DATA and the user's cache; `topics` is the topic map of a ROS
+    bag, or the file it is in. Raises FglocError for an unknown dataset or run, a dataset that is
+    not here, a missing file, content that cannot be read, a topic map for what is no bag, or
     measurements in an obviously wrong unit (see `fgloc.datasets.plausible`).
     """
+    return load_with_topics(drive_id, data, topics)[0]
+
+
+def load_with_topics(
+    drive_id: str, data: Path | None = None, topics: Path | TopicMap | None = None
+) -> tuple[Drive, TopicMap | None]:
+    """Return what `load_drive` does, and the topic map as it was used; None for what is no bag."""
+    given = load_topics(topics) if isinstance(topics, Path) else topics
     name, _, run = drive_id.partition(":")
     if is_dataset_id(drive_id) and name == SIMULATED:
+        if given is not None:
+            raise _no_bag(drive_id)
         from fgloc.datasets.simulator import load_sim
 
-        return load_sim(run)
-    drive = _recorded(drive_id, data)
+        return load_sim(run), None
+    found = _recorded(drive_id, data, given)
+    drive, used = (found.drive, found.topics) if isinstance(found, BagDrive) else (found, None)
+    if used is None and given is not None:
+        raise _no_bag(drive_id)
     check_plausible(drive)
-    return drive
+    return drive, used
 
 
-def _recorded(drive_id: str, data: Path | None) -> Drive:
+def _no_bag(drive_id: str) -> FglocError:
+    """Return the error for a topic map where there are no topics."""
+    return FglocError(f"{drive_id} is no ROS bag; leave out --topics")
+
+
+def _recorded(drive_id: str, data: Path | None, given: TopicMap | None) -> Drive | BagDrive:
     """Return the drive in a file or of a dataset."""
     name, _, run = drive_id.partition(":")
     if not is_dataset_id(drive_id):
-        return _load_path(Path(drive_id), drive_id)
+        return _load_path(Path(drive_id), drive_id, given)
     kind = dataset(name)
     if not run:
         raise FglocError(f"{drive_id} lacks a run; write it like {name}:{kind.example}")
@@ -197,6 +161,9 @@ def _recorded(drive_id: str, data: Path | None) -> Drive:
         near = difflib.get_close_matches(run, known, n=3, cutoff=0.85)
         there = f"near it: {', '.join(near)}" if near else f"there are {_short(known)}"
         raise FglocError(f"{name} has no run {run!r} here; {there}")
+    if kind.load_bag is not None:
+        return kind.load_bag(folder, run, drive_id, given or TopicMap())
+    assert kind.load is not None
     return kind.load(folder, run, drive_id)
 
 
@@ -207,20 +174,17 @@ def _short(names: Sequence[str], most: int = 6) -> str:
     return f"{', '.join(names[: most - 1])}, … {names[-1]} ({len(names)} in all)"
 
 
-def _load_path(path: Path, name: str) -> Drive:
+def _load_path(path: Path, name: str, given: TopicMap | None) -> Drive | BagDrive:
     """Return the drive in a file or folder, its format guessed from suffix and content."""
-    if path.is_dir():
-        inside = [path / f for f in ("drive.npz", "drive.csv", "drive.log") if (path / f).is_file()]
-        if not inside:
-            raise FglocError(
-                "this folder holds no drive.npz, .csv or .log; give a file, or dataset:run with "
-                "--data for a folder of datasets",
-                file=path,
-            )
-        path = inside[0]
+    path = _drive_in(path) if path.is_dir() else path
+    if is_bag(path):
+        return read_bag(path, name, given)
     data = read_bytes(path)
     if path.suffix == ".npz" or data.startswith(b"PK"):
         return own_format.read_npz(path, name)
+    for magic, suffix in BAG_MAGIC.items():
+        if data.startswith(magic):
+            raise FglocError(f"this is a ROS bag; let its name end in {suffix}", file=path)
     head = data[:4096].decode("utf-8", errors="replace").lstrip("\ufeff").splitlines()
     if head and head[0].startswith(f"# {own_format.FORMAT}"):
         return own_csv.read_csv(path, name)
@@ -230,6 +194,28 @@ def _load_path(path: Path, name: str) -> Drive:
         raise FglocError("the file is empty; record or download it again", file=path)
     raise FglocError(
         "the format is not known; readable are npz and CSV files of fgloc "
-        f"(first line {own_csv.MAGIC!r}) and Jaguar text logs",
+        f"(first line {own_csv.MAGIC!r}), ROS bags ({', '.join(BAG_SUFFIXES)}), Jaguar text logs",
         file=path,
+    )
+
+
+def _drive_in(folder: Path) -> Path:
+    """Return the drive's file in a folder, or the folder itself where that is a ROS 2 bag."""
+    if is_bag(folder):
+        return folder
+    for name in ("drive.npz", "drive.csv", "drive.log"):
+        if (folder / name).is_file():
+            return folder / name
+    bags = sorted(p for suffix in BAG_SUFFIXES for p in folder.glob(f"*{suffix}"))
+    if len(bags) == 1:
+        return bags[0]
+    if bags:
+        raise FglocError(
+            f"this folder holds {len(bags)} bags and no metadata.yaml; give one of them",
+            file=folder,
+        )
+    raise FglocError(
+        "this folder holds no drive.npz, .csv or .log and no ROS bag; give a file, or dataset:run "
+        "with --data for a folder of datasets",
+        file=folder,
     )

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from fgloc.config import apply_robot
 from fgloc.core.drive import Drive
+from fgloc.core.encoder_selection import select_encoders
 from fgloc.core.evaluation import evaluate
 from fgloc.core.geometry import Integrator
 from fgloc.core.start import trim_to_truth
@@ -18,6 +19,7 @@ from fgloc.errors import FglocError
 from fgloc.estimator import Estimator, run
 from fgloc.experiments.fixes import FixSpec, with_fixes
 from fgloc.experiments.methods import create, parse
+from fgloc.io.topics import load_topics
 from fgloc.report.outcomes import (
     Comparison,
     DriveOutcome,
@@ -56,8 +58,10 @@ def compare(
     fixes: FixSpec | None = None,
     seed: int = 0,
     robot_file: str | Path | None = None,
+    encoder_selection: bool = False,
     integrator: Integrator = "exact",
     data: Path | None = None,
+    topics_file: Path | None = None,
     progress: Progress | None = None,
     estimators: Mapping[str, Estimator] | None = None,
 ) -> Comparison:
@@ -66,15 +70,20 @@ def compare(
     `drives` may hold patterns (see `fgloc.datasets.registry.expand`). Every drive is read once,
     all of them before the first method runs, so that a file that cannot be read is known at once.
     `fixes` adds sparse position fixes made from the truth; `robot_file` replaces the drives' own
-    description; `progress` is told after each drive and method; `estimators` are taken by method
-    id in place of those with default settings. Raises FglocError for a drive that
-    cannot be read, a method that does not exist, or if no method can run on any drive.
+    description; `encoder_selection` leaves one encoder a side to all methods (see
+    `fgloc.core.encoder_selection`); `topics_file` says which topic of ROS bags is what; `progress`
+    is told after each drive and method; `estimators` are taken by method id in place of those with
+    default settings. Raises FglocError for a drive that cannot be read or whose encoders cannot be
+    selected, a method that does not exist, or if no
+    method can run on any drive.
     """
     ids = parse(methods)
     names = expand(list(drives), data)
     loaded: list[Drive] = []
+    topics = None if topics_file is None else load_topics(topics_file)
     for name in names:
-        loaded.append(_prepared(load_drive(name, data), robot_file, fixes, seed))
+        drive = load_drive(name, data, topics)
+        loaded.append(_prepared(drive, robot_file, encoder_selection, fixes, seed))
         if progress is not None:
             progress(Step(0, len(names) * len(ids), name, "", "read"))
     settings = Settings(
@@ -82,6 +91,8 @@ def compare(
         None if fixes is None else (fixes.every_s, fixes.sigma_m),
         seed,
         None if robot_file is None else str(robot_file),
+        None if topics_file is None else str(topics_file),
+        encoder_selection,
     )
     return compare_drives(
         loaded, ids, settings, integrator=integrator, progress=progress, estimators=estimators
@@ -175,11 +186,17 @@ def _warm_up(estimators: Sequence[Estimator], drive: Drive) -> None:
 
 
 def _prepared(
-    drive: Drive, robot_file: str | Path | None, fixes: FixSpec | None, seed: int
+    drive: Drive,
+    robot_file: str | Path | None,
+    encoder_selection: bool,
+    fixes: FixSpec | None,
+    seed: int,
 ) -> Drive:
-    """Return the drive with the robot file's description and with position fixes."""
+    """Return the drive with the robot file's description, encoders selected, and with fixes."""
     if robot_file is not None:
         drive = replace(drive, robot=apply_robot(drive.robot, robot_file))
+    if encoder_selection:
+        drive = select_encoders(drive)
     if fixes is not None:
         drive = with_fixes(drive, fixes.every_s, fixes.sigma_m, seed)
     return drive

@@ -35,6 +35,24 @@ def _model2(integrator: Integrator) -> Estimator:
     return Model2()
 
 
+def _model3(integrator: Integrator) -> Estimator:
+    from fgloc.filters.model3 import Model3
+
+    return Model3()
+
+
+def _pose_ekf(integrator: Integrator) -> Estimator:
+    from fgloc.filters.pose_ekf import PoseEkf
+
+    return PoseEkf()
+
+
+def _rl_ekf(integrator: Integrator) -> Estimator:
+    from fgloc.filters.rl_ekf import RlEkf
+
+    return RlEkf()
+
+
 def _batch(integrator: Integrator) -> Estimator:
     # Imported here because it brings GTSAM, which Models 1 and 2 do without.
     from fgloc.smoothing.batch import BatchSmoother
@@ -51,8 +69,9 @@ def _online(integrator: Integrator) -> Estimator:
 METHODS: tuple[Method, ...] = (
     Method("model1", "wheels only, nominal parameters", _model1),
     Method("model2", "distance from wheels, heading from the yaw sensor", _model2),
-    Method("model3", "unscented filter of pose and effective track", None),
-    Method("pose-ekf", "extended Kalman filter of the pose", None),
+    Method("model3", "unscented filter of pose and effective track", _model3),
+    Method("pose-ekf", "extended Kalman filter of the pose", _pose_ekf),
+    Method("rl-ekf", "filter like robot_localization's, with its ekf.yaml", _rl_ekf),
     Method("ekf-slam", "extended Kalman filter of pose and landmarks", None),
     Method("batch", "factor graph over the whole drive, with calibration", _batch),
     Method("online", "factor graph over a sliding window, as it would run live", _online),

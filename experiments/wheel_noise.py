@@ -1,8 +1,8 @@
 """Are the wheel noise defaults right? Sparse fixes on recorded drives say so.
 
-`python -m fgloc.experiments.wheel_noise [--data DIR]` smooths recorded drives of every robot with
-a position fix every 10 s and every 3 s (2 mm) and prints, per robot and path, medians over the
-drives of
+`python -m fgloc.experiments.wheel_noise [--data DIR] [--odometry]` smooths recorded drives of every
+robot with a position fix every 10 s and every 3 s (2 mm) and prints, per robot and path, medians
+over the drives of
 
 - chi²/n: squared normalised residuals of all sensors per fix component, near 1 where the noise
   that a kind of base is given (`fgloc.core.robot.typical_noise`) is what its wheels do, less where
@@ -10,19 +10,27 @@ drives of
 - NEES: squared normalised pose error against the whole truth, ideally 3;
 - the position error.
 
+With --odometry the displacements of the nominal wheels are taken for the odometry of a body whose
+wheels are not known, and so are its noise and parameters.
+
 No default is fitted to one drive: a kind of base has one set of values, rounded.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from fgloc.core.bases import SKID_TRACK_PRIOR, body_odometry
 from fgloc.core.drive import Drive
 from fgloc.core.evaluation import evaluate
+from fgloc.core.measurements import WheelIncrements
+from fgloc.core.robot import Robot
 from fgloc.datasets.registry import expand, load_drive
 from fgloc.errors import FglocError
 from fgloc.estimator import Result
@@ -48,13 +56,34 @@ def _label(drive: Drive) -> str:
     return f"{drive.robot.name} {drive.motion or ''}".strip()
 
 
+def as_odometry(drive: Drive) -> Drive:
+    """Return a drive whose nominal wheels are the odometry of a body.
+
+    The nominal track of a skidding robot says little of how it turns, so its rotation scale keeps
+    the prior of that track.
+    """
+    base = body_odometry()
+    if drive.robot.base.kind == "skid-steer":
+        scales = (p for p in base.parameters if p.name != "rotation_scale")
+        turn = next(p for p in base.parameters if p.name == "rotation_scale")
+        base = replace(base, parameters=(*scales, replace(turn, prior_sigma=SKID_TRACK_PRIOR)))
+    moved = drive.robot.base.displacements(drive.wheels.angles, drive.wheels.steering)
+    wheels = WheelIncrements("wheels", drive.wheels.stamps_ns, moved, base.driven_names)
+    return replace(drive, robot=Robot.typical(drive.robot.name, base), wheels=wheels)
+
+
 def main(arguments: list[str]) -> int:
     """Print the table; needs the recorded drives (--data DIR or $FGLOC_DATA)."""
-    data = Path(arguments[1]) if arguments[:1] == ["--data"] and len(arguments) == 2 else None
+    parser = argparse.ArgumentParser(prog="fgloc.experiments.wheel_noise")
+    parser.add_argument("--data", type=Path, help="folder of recorded drives")
+    parser.add_argument("--odometry", action="store_true", help="as if the wheels were not known")
+    options = parser.parse_args(arguments)
+    data = options.data
     rows: dict[tuple[str, float], list[tuple[float, float, float]]] = defaultdict(list)
     for family in FAMILIES:
         for name in expand([family], data)[::STRIDE]:
             drive = load_drive(name, data)
+            drive = as_odometry(drive) if options.odometry else drive
             for interval in INTERVALS_S:
                 try:
                     offered = with_fixes(drive, interval, SIGMA_M, 0)

@@ -29,7 +29,7 @@ BROKEN_PIPE = 141
 TERMINATED = 143
 """Exit status after SIGTERM, as shells report it."""
 
-METHODS = "model1,model2,batch,online"
+METHODS = "model1,model2,model3,pose-ekf,rl-ekf,batch,online"
 """Methods compared unless others are asked for: all available ones (a test holds this to it)."""
 INTEGRATORS = ("exact", "midpoint", "euler")
 """Steps of Model 1; `fgloc.core.geometry.INTEGRATORS`, which cannot be imported without numpy."""
@@ -87,6 +87,7 @@ def build_parser() -> argparse.ArgumentParser:
     _compare(commands)
     _simulate(commands)
     _datasets(commands)
+    _experiments(commands)
     _doctor(commands)
     return parser
 
@@ -107,6 +108,8 @@ def _smooth(commands: Commands[argparse.ArgumentParser]) -> None:
     _fix_options(parser)
     _save_option(parser)
     _robot_option(parser)
+    _selection_option(parser)
+    _topics_option(parser)
     _common(parser, "data", "json", "out")
 
 
@@ -157,6 +160,8 @@ def _localise(commands: Commands[argparse.ArgumentParser]) -> None:
     _fix_options(parser)
     _save_option(parser)
     _robot_option(parser)
+    _selection_option(parser)
+    _topics_option(parser)
     _common(parser, "data", "json", "out")
 
 
@@ -182,6 +187,8 @@ def _compare(commands: Commands[argparse.ArgumentParser]) -> None:
     )
     _fix_options(parser)
     _robot_option(parser)
+    _selection_option(parser)
+    _topics_option(parser)
     _common(parser, "data", "json", "out")
 
 
@@ -217,6 +224,7 @@ def _datasets(commands: Commands[argparse.ArgumentParser]) -> None:
     _common(listing, "data", "json")
     info = _command(inner, "info", "what a drive holds")
     info.add_argument("drive", metavar="DRIVE", help=DRIVE)
+    _topics_option(info)
     _common(info, "data", "json")
     fetch = _command(inner, "fetch", "download a dataset from its public origin, checked")
     fetch.add_argument("name", metavar="NAME", help="a dataset's name, see `fgloc datasets list`")
@@ -230,7 +238,40 @@ def _datasets(commands: Commands[argparse.ArgumentParser]) -> None:
     )
     convert.add_argument("drive", metavar="DRIVE", help=DRIVE)
     convert.add_argument("file", metavar="FILE", type=Path, help="target; ends in .npz or .csv")
+    _topics_option(convert)
     _common(convert, "data")
+
+
+def _experiments(commands: Commands[argparse.ArgumentParser]) -> None:
+    """Add `fgloc experiments` and its own commands."""
+    parser = _command(
+        commands,
+        "experiments",
+        "list or run the experiments that put published numbers beside this program's",
+        "fgloc experiments list",
+        "fgloc experiments run seed-a-simulation --out runs",
+    )
+    inner = parser.add_subparsers(dest="experiments_command", metavar="WHAT", required=True)
+    listing = _command(inner, "list", "what there is, and what can run on this machine")
+    _common(listing, "data", "json")
+    run = _command(
+        inner,
+        "run",
+        "run one experiment and print its tables",
+        "fgloc experiments run seed-a-simulation --seeds 20 --json out.json",
+    )
+    run.add_argument("name", metavar="NAME", help="a name from `fgloc experiments list`")
+    run.add_argument(
+        "--seeds", metavar="N", type=_count, help="seeds to run over (default: the experiment's)"
+    )
+    run.add_argument(
+        "--processes",
+        metavar="N",
+        type=_count,
+        default=2,
+        help="worker processes; results do not depend on it (default: 2)",
+    )
+    _common(run, "data", "json", "out")
 
 
 def _doctor(commands: Commands[argparse.ArgumentParser]) -> None:
@@ -295,6 +336,25 @@ def _robot_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _selection_option(parser: argparse.ArgumentParser) -> None:
+    """Add --encoder-selection."""
+    parser.add_argument(
+        "--encoder-selection",
+        action="store_true",
+        help="of the encoders on a side believe one: the slowest, or the fastest when braking",
+    )
+
+
+def _topics_option(parser: argparse.ArgumentParser) -> None:
+    """Add --topics."""
+    parser.add_argument(
+        "--topics",
+        metavar="FILE",
+        type=Path,
+        help="TOML file that says which topic of a ROS bag is what (default: guessed)",
+    )
+
+
 def _fix_options(parser: argparse.ArgumentParser) -> None:
     """Add --fixes and --seed."""
     parser.add_argument(
@@ -344,6 +404,14 @@ def _seed(text: str) -> int:
     if not text.isascii() or not text.isdigit():
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 0")
     return int(text)
+
+
+def _count(text: str) -> int:
+    """Return a whole number of at least 1."""
+    number = int(text) if text.isascii() and text.isdigit() else 0
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
+    return number
 
 
 def _json_file(text: str) -> Path:

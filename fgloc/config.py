@@ -15,12 +15,9 @@ rolling = 0.02                      # the fields of WheelNoise, in their units
 from __future__ import annotations
 
 import math
-import re
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TypeVar
 
 import msgspec
 
@@ -30,12 +27,7 @@ from fgloc.core.bounds import dimension_problem
 from fgloc.core.kinematics import Parameter, WheeledBase
 from fgloc.core.robot import Robot, WheelNoise
 from fgloc.errors import FglocError
-
-T = TypeVar("T", bound=msgspec.Struct)
-SMALLEST = sys.float_info.min
-"""Lowest value of what must be positive."""
-_KEY = re.compile(r"\"[^\"]*\"|'[^']*'|[\w-]+")
-"""One key of a dotted path in TOML, with its quotes."""
+from fgloc.toml_file import SMALLEST, TomlFile, quoted, read_toml
 
 
 class RobotTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -66,13 +58,9 @@ NoiseTable = msgspec.defstruct(
 
 
 @dataclass(frozen=True)
-class RobotFile:
+class RobotFile(TomlFile):
     """The checked content of a robot file; everything may be left out."""
 
-    source: Path
-    """Where it was read, for error messages."""
-    text: str
-    """What was read, for line numbers in error messages."""
     name: str | None = None
     """What the robot is called."""
     kind: str | None = None
@@ -82,10 +70,6 @@ class RobotFile:
     noise: Mapping[str, float] = field(default_factory=dict)
     """Fields of WheelNoise by name, only those that were given."""
 
-    def error(self, message: str, *key: str) -> FglocError:
-        """Return an error about `key` (a path of keys), with file and, where found, line."""
-        return FglocError(message, file=self.source, line=_line_of(self.text, key))
-
 
 def load_robot(path: str | Path) -> RobotFile:
     """Return the content of a robot file, checked for everything that needs no robot.
@@ -93,32 +77,23 @@ def load_robot(path: str | Path) -> RobotFile:
     Raises FglocError naming file, line where it is known, and key: a missing file, bad TOML, an
     unknown key, a wrong type, a number that is not finite or has the wrong sign.
     """
-    file = RobotFile(Path(path), _read(Path(path)))
-    try:
-        raw = msgspec.toml.decode(file.text)
-    except msgspec.DecodeError as error:
-        place = re.search(r"\s*\(at (?:line (\d+), column \d+|end of document)\)", str(error))
-        line = int(place[1]) if place and place[1] else None
-        reason = str(error)[: place.start()] if place else str(error)
-        raise FglocError(f"is not TOML: {reason}", file=path, line=line) from error
-    for name in raw:
-        if name not in ("robot", "parameters", "noise"):
-            known = "known are robot, parameters and noise"
-            raise file.error(f"unknown key {name!r}; {known}", name)
+    read = read_toml(Path(path), "--robot", "robot file")
+    file = RobotFile(read.source, read.text)
+    raw = file.parse("robot", "parameters", "noise")
     parameters = raw.get("parameters", {})
     if not isinstance(parameters, dict):
         raise file.error("parameters must be a table", "parameters")
-    tables = {n: _table(file, t, ParameterTable, "parameters", n) for n, t in parameters.items()}
+    tables = {n: file.table(t, ParameterTable, "parameters", n) for n, t in parameters.items()}
     for name, table in tables.items():
-        _check_number(file, table.value, -math.inf, "parameters", name, "value")
-        _check_number(file, table.sigma, 0.0, "parameters", name, "sigma")
-    given = msgspec.structs.asdict(_table(file, raw.get("noise", {}), NoiseTable, "noise"))
+        file.check_number(table.value, -math.inf, "parameters", name, "value")
+        file.check_number(table.sigma, 0.0, "parameters", name, "sigma")
+    given = msgspec.structs.asdict(file.table(raw.get("noise", {}), NoiseTable, "noise"))
     noise = {n: float(v) for n, v in given.items() if v is not None}
     for name, value in noise.items():
         # Without a floor an interval of a standing robot would be certain, its weight infinite.
         lowest = SMALLEST if name.startswith("standing") else 0.0
-        _check_number(file, value, lowest, "noise", name)
-    robot = _table(file, raw.get("robot", {}), RobotTable, "robot")
+        file.check_number(value, lowest, "noise", name)
+    robot = file.table(raw.get("robot", {}), RobotTable, "robot")
     return replace(file, name=robot.name, kind=robot.kind, parameters=tables, noise=noise)
 
 
@@ -158,11 +133,11 @@ def apply_robot(robot: Robot, path: str | Path) -> Robot:
 
 def robot_toml(robot: Robot) -> str:
     """Return a robot file that says everything `apply_robot` can set, without losing a digit."""
-    lines = ["[robot]", f"name = {_quoted(robot.name)}", f"kind = {_quoted(robot.base.kind)}"]
+    lines = ["[robot]", f"name = {quoted(robot.name)}", f"kind = {quoted(robot.base.kind)}"]
     for p in robot.base.parameters:
         lines += [
             "",
-            f"[parameters.{_quoted(p.name)}]",
+            f"[parameters.{quoted(p.name)}]",
             f"value = {float(p.nominal)!r}  # {p.unit}",
             f"sigma = {float(p.prior_sigma)!r}",
         ]
@@ -182,7 +157,7 @@ def _with_kind(file: RobotFile, base: WheeledBase) -> WheeledBase:
         return base
     if file.kind != "full-linear":
         known = f'"{base.kind}" or "full-linear"'
-        raise file.error(f"robot.kind must be {known}, got {_quoted(file.kind)}", "robot", "kind")
+        raise file.error(f"robot.kind must be {known}, got {quoted(file.kind)}", "robot", "kind")
     try:
         return full_linear(base)
     except FglocError as error:
@@ -208,77 +183,3 @@ def _check_dimensions(file: RobotFile, known: Parameter, table: ParameterTable) 
         if problem is not None:
             name = known.name
             raise file.error(f"parameters.{name}.{key} {problem}", "parameters", name, key)
-
-
-def _read(path: Path) -> str:
-    """Return the file's text; FglocError if it is missing or not UTF-8."""
-    try:
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise FglocError("no such robot file; --robot wants a TOML file", file=path) from None
-    except OSError as error:
-        raise FglocError(f"cannot be read: {error.strerror}", file=path) from error
-    except UnicodeDecodeError as error:
-        raise FglocError("is not UTF-8 text; --robot wants a TOML file", file=path) from error
-
-
-def _table(file: RobotFile, raw: object, kind: type[T], *key: str) -> T:
-    """Return one table of the file as `kind`; FglocError for an unknown key or a wrong type."""
-    try:
-        return msgspec.convert(raw, kind)
-    except msgspec.ValidationError as error:
-        message, _, place = str(error).partition(" - at `$.")
-        reason = message.replace("`", "").replace("object", "a table").replace(" | null", "")
-    unknown = re.search(r"unknown field (.*)", reason)
-    if unknown is None:
-        path = (*key, place.rstrip("`")) if place else key
-        raise file.error(f"{'.'.join(path)}: {reason[0].lower()}{reason[1:]}", *path)
-    name = unknown[1]
-    if key[0] == "parameters" and isinstance(raw, dict) and isinstance(raw[name], dict):
-        # TOML takes [parameters.wheel_radius.left] for a table "left" inside "wheel_radius".
-        hint = f'quote a name that has a dot: [parameters."{key[1]}.{name}"]'
-    else:
-        hint = f"known are {', '.join(kind.__struct_fields__)}"
-    raise file.error(f"unknown key {name!r} in {'.'.join(key)}; {hint}", *key, name)
-
-
-def _check_number(file: RobotFile, value: float | None, lowest: float, *key: str) -> None:
-    """Raise FglocError unless `value` is None or finite and at least `lowest`."""
-    if value is not None and not (math.isfinite(value) and value >= lowest):
-        want = {-math.inf: "a finite number", 0.0: "finite and not negative"}.get(lowest)
-        want = want or "finite and positive"
-        raise file.error(f"{'.'.join(key)} must be {want}, got {value!r}", *key)
-
-
-def _line_of(text: str, key: tuple[str, ...]) -> int | None:
-    """Return the line number that names the most of a path of keys; None if none is named.
-
-    A search by words, since the parsed content knows no lines: a table's header names the
-    beginning of the path, a line in that table the rest.
-    """
-    best: tuple[int, int | None] = (0, None)
-    header: list[str] = []
-    for number, line in enumerate(text.splitlines(), 1):
-        body = line.partition("#")[0].strip()
-        if body.startswith("["):
-            header = _KEY.findall(body)
-            names = header
-        else:
-            names = header + _KEY.findall(body.partition("=")[0])
-        names = [n.strip("\"'") for n in names]
-        common = 0
-        while common < min(len(names), len(key)) and names[common] == key[common]:
-            common += 1
-        if common > best[0]:
-            best = (common, number)
-    return best[1]
-
-
-def _quoted(text: str) -> str:
-    """Return a TOML basic string."""
-    escapes = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\r": "\\r", "\t": "\\t"}
-    body = "".join(
-        escapes.get(c) or (f"\\u{ord(c):04x}" if ord(c) < 0x20 or ord(c) == 0x7F else c)
-        for c in text
-    )
-    return f'"{body}"'

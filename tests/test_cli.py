@@ -118,6 +118,13 @@ def test_option_names_are_attribute_names() -> None:
     assert cli.build_parser().parse_args(["smooth", "a", "--debug"]).debug is True
 
 
+@pytest.mark.parametrize("command", ["smooth", "localise", "compare"])
+def test_encoder_selection_is_an_option_of_every_estimate(command: str) -> None:
+    parser = cli.build_parser()
+    assert parser.parse_args([command, "a"]).encoder_selection is False
+    assert parser.parse_args([command, "a", "--encoder-selection"]).encoder_selection is True
+
+
 def test_copies_of_names_agree_with_their_source() -> None:
     assert ",".join(available()) == cli.METHODS
     assert INTEGRATORS == cli.INTEGRATORS

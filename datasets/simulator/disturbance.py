@@ -65,7 +65,7 @@ def disturb(
         arm = float(np.mean([np.hypot(w.x, w.y) for w in guided]))
         sideways = noise.lateral**2 * (distance + arm * turn) / len(guided)
     floor = noise.standing**2 * moving
-    scrub = noise.turning**2 * turn + noise.standing_turn**2 * moving
+    scrub = noise.turning**2 * turn + noise.standing_turn**2 * moving + noise.veering**2 * distance
     slip += drawn * np.sqrt(np.stack([floor, sideways + floor, scrub], axis=1))
 
     share = 1.0 - np.exp(-distance / HOLD_M - turn / HOLD_RAD)

@@ -62,8 +62,10 @@ def compare_with_progress(
             fixes=fixes,
             seed=args.seed,
             robot_file=args.robot,
+            encoder_selection=args.encoder_selection,
             integrator=integrator,
             data=args.data,
+            topics_file=args.topics,
             progress=tell,
             estimators=estimators,
         )
@@ -103,11 +105,13 @@ def report(
 
 
 def _common(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the options common to `compare` and `smooth` as they are written to settings.json."""
+    """Return the options common to these commands as they are written to settings.json."""
     return {
         "fixes": args.fixes,
         "seed": args.seed,
         "robot": None if args.robot is None else str(args.robot),
+        "topics": None if args.topics is None else str(args.topics),
+        "encoder_selection": args.encoder_selection,
         "data": None if args.data is None else str(args.data),
     }
 

@@ -126,9 +126,11 @@ def _list(args: argparse.Namespace) -> None:
 
 def _info(args: argparse.Namespace) -> None:
     """Print what one drive holds."""
-    from fgloc.datasets.registry import load_drive
+    from fgloc.datasets.registry import load_with_topics
+    from fgloc.io.topics import as_dict, topics_toml
 
-    about = describe(load_drive(args.drive, args.data))
+    drive, topics = load_with_topics(args.drive, args.data, args.topics)
+    about = {**describe(drive), "topics": None if topics is None else as_dict(topics)}
     _save_json(args.json, about)
     print(f"{about['drive']}: {about['robot']['name']} ({about['robot']['base']})")
     motion = f", motion {about['motion']}" if about["motion"] else ""
@@ -152,6 +154,9 @@ def _info(args: argparse.Namespace) -> None:
         print(f"rejected: {number} × {reason}")
     for note in about["notes"]:
         print(f"note: {note}")
+    if topics is not None:
+        print("\nThe topic map, to be changed and given as --topics FILE:\n")
+        print(topics_toml(topics), end="")
 
 
 def _fetch(args: argparse.Namespace) -> None:
@@ -215,7 +220,7 @@ def _convert(args: argparse.Namespace) -> None:
     writers = {".npz": write_npz, ".csv": write_csv}
     if args.file.suffix not in writers:
         raise FglocError("the name must end in .npz or .csv", file=args.file)
-    drive = load_drive(args.drive, args.data)
+    drive = load_drive(args.drive, args.data, args.topics)
     writers[args.file.suffix](drive, args.file)
     print(f"{drive.name}: written to {args.file}")
 

@@ -203,6 +203,36 @@ def four_wheel_steer(
     return WheeledBase("4wis4wid", tuple(wheels), tuple(parameters), tuple(links))
 
 
+def body_odometry() -> WheeledBase:
+    """Return the base of a robot that is known only by an odometry of its body.
+
+    Three linear pseudo-wheels carry the measured displacement (dx, dy, dtheta as twist times
+    time): a radian of `forward` and of `left` is a metre, one of `turn` a radian. Parameters:
+    `odometry_scale` of the way (wheel radii that are wrong) and `rotation_scale` of the turn (radii
+    and track), both 1 nominally. Whatever wheels there are can slip sideways.
+    """
+    along, turn = RADIUS_PRIOR, math.hypot(RADIUS_PRIOR, TRACK_PRIOR)
+    return WheeledBase(
+        "odometry",
+        (
+            Wheel("forward", 1.0, 0.0, kind="linear"),
+            Wheel("left", 0.0, 1.0, kind="linear"),
+            # The turn is all parameter, since that is added to what the wheel itself has.
+            Wheel("turn", 0.0, 0.0, kind="linear"),
+            Wheel("side", 0.0, 0.0, kind="passive"),
+        ),
+        (
+            Parameter("odometry_scale", 1.0, along, unit="1", log=True),
+            Parameter("rotation_scale", 1.0, turn, unit="1", log=True),
+        ),
+        (
+            ("odometry_scale", "forward", X, 1.0),
+            ("odometry_scale", "left", Y, 1.0),
+            ("rotation_scale", "turn", STEER, 1.0),
+        ),
+    )
+
+
 def full_linear(base: WheeledBase, *, turn_prior: float | None = None) -> WheeledBase:
     """Return the full linear model of a base: displacement (dx, dy, dtheta) = J·(wheel angles).
 

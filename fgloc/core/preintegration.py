@@ -220,9 +220,9 @@ def _increment_covariance(
     """Write the covariance of one body displacement into `out`.
 
     Rolling rows: slip over the wheel's own path; lateral rows: side slip over the path of the
-    wheel; heading: scrub over the turned angle; a floor over time. All variances grow with the
-    path, so that the sampling rate does not matter. The rounding of counts does not grow with it
-    and is not here: see `rounding_sigma`.
+    wheel; heading: scrub over the turned angle, veering over the path; a floor over time. All
+    variances grow with the path, so that the sampling rate does not matter. The rounding of counts
+    does not grow with it and is not here: see `rounding_sigma`.
     """
     path = np.sqrt(xi[0] * xi[0] + xi[1] * xi[1])
     out[:] = 0.0
@@ -239,6 +239,7 @@ def _increment_covariance(
     out[0, 0] += noise[3] * noise[3] * seconds
     out[1, 1] += noise[3] * noise[3] * seconds
     out[2, 2] += noise[4] * noise[4] * seconds + noise[2] * noise[2] * abs(xi[2])
+    out[2, 2] += noise[5] * noise[5] * path
 
 
 class Integrator:
@@ -313,5 +314,6 @@ def _noise_array(noise: WheelNoise) -> Floats:
             noise.turning,
             noise.standing,
             noise.standing_turn,
+            noise.veering,
         ]
     )

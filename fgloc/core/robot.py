@@ -25,10 +25,18 @@ class WheelNoise:
     """Floor for a standing robot [m/sqrt(s)], so that no interval is certain."""
     standing_turn: float = 5e-4
     """The same floor for the heading [rad/sqrt(s)]."""
+    veering: float = 0.0
+    """Heading lost on the way: sigma of the heading [rad/sqrt(m)] over the path, for bases whose
+    rolling noise does not turn them; where wheels stand apart, their rolling noise does that."""
 
     def __post_init__(self) -> None:
         # Zeros are for simulators: without a floor, estimators find a standing interval certain.
         check_noise("wheel noise", {}, asdict(self))
+
+
+def scaled(noise: WheelNoise, factor: float) -> WheelNoise:
+    """Return the noise with every sigma times `factor`."""
+    return WheelNoise(**{name: factor * sigma for name, sigma in asdict(noise).items()})
 
 
 def typical_noise(kind: str) -> WheelNoise:
@@ -38,8 +46,12 @@ def typical_noise(kind: str) -> WheelNoise:
     tricycle, steered): millimetres per root metre. Tyres that must skid to turn: several times
     that, most of all in heading. Rollers (mecanum, omni): each wheel slips along its way, and
     there is no wheel to hold the base sideways. Checked on recorded drives: with these values the
-    normalised residuals of sparse fixes are near one (docs/noise.md).
+    normalised residuals of sparse fixes are near one (docs/noise.md). An odometry whose wheels
+    are not known ("odometry") may be any of these: it gets the tyres' noise, and loses heading on
+    the way as two wheels of that noise 0.7 m apart would.
     """
+    if kind == "odometry":
+        return WheelNoise(rolling=0.01, lateral=0.01, turning=0.04, veering=0.02)
     if kind == "skid-steer":
         return WheelNoise(rolling=0.01, lateral=0.01, turning=0.04)
     if kind in ("mecanum", "omni-3"):

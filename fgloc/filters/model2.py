@@ -11,12 +11,15 @@ from fgloc.core.drive import Drive
 from fgloc.core.measurements import Floats, Stamps, Yaw, YawRate
 from fgloc.core.start import start_pose, trim_to_truth
 from fgloc.core.trajectory import Trajectory
-from fgloc.errors import FglocError
 from fgloc.estimator import Result, SensorCount
+from fgloc.filters.heading import (
+    SILENCE_S,
+    heading_source,
+    nearest_readings,
+    rate_note,
+    silence_note,
+)
 from fgloc.filters.model1 import trim_note
-
-SILENCE_S = 0.5
-"""A gap of the yaw sensor longer than this [s] is bridged with the encoders' turn."""
 
 
 @dataclass(frozen=True)
@@ -44,18 +47,14 @@ class Model2:
         stamps = wheels.stamps_ns
         displacements = trimmed.robot.base.displacements(wheels.angles, wheels.steering)
         encoder = np.concatenate([[0.0], np.cumsum(displacements[:, 2])])
-        source = _source(drive)
+        source = heading_source(drive, self.method)
         notes = []
         if isinstance(source, Yaw):
             turned, silent = yaw_turn(source, stamps, encoder)
         else:
             turned, silent = rate_turn(source, stamps, encoder)
-            notes.append(f"no yaw sensor: the rate of {source.sensor} is integrated, bias unknown")
-        if silent.any():
-            notes.append(
-                f"{source.sensor} is silent for more than {SILENCE_S} s: "
-                f"{int(silent.sum())} of {silent.size} steps turn by the encoders"
-            )
+            notes.append(rate_note(source.sensor))
+        notes += silence_note(source.sensor, silent, "turn by the encoders")
         left_out = drive.wheels.stamps_ns.size - stamps.size
         inside = (source.stamps_ns >= stamps[0]) & (source.stamps_ns <= stamps[-1])
         accepted = int(inside.sum())
@@ -101,22 +100,10 @@ def yaw_turn(yaw: Yaw, stamps: Stamps, encoder: Floats) -> tuple[Floats, npt.NDA
     `encoder` (N+1,) is the heading by the wheels. The readings enter as a correction to it: their
     difference to the wheels changes slowly, so unwrapping it stays right over pauses in which the
     robot turns by more than half a turn. A step is silent if its end lies in a gap of more than
-    0.5 s, away from the readings at the gap's ends; it then keeps the last correction.
+    0.5 s, away from the readings at the gap's ends; it then keeps the last correction. The stream
+    must not be empty.
     """
-    if yaw.stamps_ns.size == 0:
-        raise FglocError(f"{yaw.sensor}: the stream is empty; model2 needs at least one reading")
-    after = np.searchsorted(yaw.stamps_ns, stamps)
-    late = np.minimum(after, yaw.stamps_ns.size - 1)
-    early = np.maximum(after - 1, 0)
-    nearest = np.where(
-        np.abs(yaw.stamps_ns[late] - stamps) < np.abs(yaw.stamps_ns[early] - stamps), late, early
-    )
-    distance = np.abs(yaw.stamps_ns[nearest] - stamps)
-    begin = np.where(after > 0, yaw.stamps_ns[early], stamps[0])
-    end = np.where(after < yaw.stamps_ns.size, yaw.stamps_ns[late], stamps[-1])
-    periods = np.diff(yaw.stamps_ns)
-    near = min(float(np.median(periods)) if periods.size else 0.0, 0.5 * SILENCE_S * 1e9)
-    heard = ~((end - begin > SILENCE_S * 1e9) & (distance > near))
+    nearest, heard = nearest_readings(yaw, stamps)
     correction = np.zeros(stamps.size)
     known = np.flatnonzero(heard)
     if known.size:
@@ -133,10 +120,9 @@ def rate_turn(
     """Return the (N+1,) integrated rate since the first stamp [rad] and which steps are silent.
 
     The rate is integrated by the trapezoid rule and held for up to 0.5 s outside the recorded
-    span; a step that touches a longer gap turns by the encoders, `encoder` (N+1,).
+    span; a step that touches a longer gap turns by the encoders, `encoder` (N+1,). The stream must
+    not be empty.
     """
-    if gyro.stamps_ns.size == 0:
-        raise FglocError(f"{gyro.sensor}: the stream is empty; model2 needs at least one reading")
     limit = int(SILENCE_S * 1e9)
     times = np.concatenate(
         [[gyro.stamps_ns[0] - limit], gyro.stamps_ns, [gyro.stamps_ns[-1] + limit]]
@@ -159,11 +145,3 @@ def rate_turn(
     silent = (begun > ended) | (stamps[:-1] < times[0]) | (stamps[1:] > times[-1])
     steps = np.where(silent, np.diff(encoder), np.diff(reached))
     return np.concatenate([[0.0], np.cumsum(steps)]), silent
-
-
-def _source(drive: Drive) -> Yaw | YawRate:
-    """Return the stream the heading comes from: the first yaw, else the first yaw rate."""
-    streams: tuple[Yaw | YawRate, ...] = (*drive.each(Yaw), *drive.each(YawRate))
-    if not streams:
-        raise FglocError(f"model2 needs a yaw sensor; {drive.name} has none")
-    return streams[0]

@@ -49,6 +49,10 @@ class Settings:
     """Seed of the fixes' noise."""
     robot_file: str | None = None
     """Path of the robot file; None if the drives' own descriptions were used."""
+    topics_file: str | None = None
+    """Path of the topic map of ROS bags; None if it was guessed or the dataset's own."""
+    encoder_selection: bool = False
+    """Whether one encoder a side was selected for every method."""
 
 
 @dataclass(frozen=True)

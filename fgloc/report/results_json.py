@@ -30,6 +30,8 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
         "integrator": settings.integrator,
         "fixes": fixes,
         "robot_file": settings.robot_file,
+        "topics_file": settings.topics_file,
+        "encoder_selection": settings.encoder_selection,
         "start": START,
         "alignment": ALIGNMENT,
         "drives": [_drive(outcome) for outcome in comparison.drives],

@@ -78,3 +78,28 @@ def test_fixes_closer_than_any_truth_are_refused_in_one_line(
 ) -> None:
     assert main(["compare", "sim:seed-a-spin-ideal", "--fixes", "1e-9"]) == 1
     assert "1e-09 s is more than any truth holds" in capsys.readouterr().err
+
+
+def test_encoder_selection_reaches_every_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drive, numbers = "sim:seed-a-circle-slip20", tmp_path / "numbers.json"
+    for command in (["compare", "--methods", "model1"], ["smooth"], ["localise"]):
+        arguments = [*command, drive, "--encoder-selection", "--json", str(numbers)]
+        runs = ["--out", str(tmp_path / "runs")] if command[0] == "compare" else []
+        assert main([*arguments, *runs]) == 0
+        assert "one encoder a side is believed" in capsys.readouterr().out
+        assert json.loads(numbers.read_text())["encoder_selection"] is True
+    settings = (tmp_path / "runs" / "latest" / "settings.json").read_text()
+    assert json.loads(settings)["encoder_selection"] is True
+    assert main(["compare", "sim:square?robot=mecanum", "--encoder-selection"]) == 1
+    assert "a mecanum base is not one" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_checkpoint_does_not_go_on_with_other_encoders(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["localise", "sim:seed-a-circle-slip20", "--checkpoint", str(tmp_path)]
+    assert main([*arguments, "--encoder-selection"]) == 0
+    assert main([*arguments, "--resume"]) == 1
+    assert "was written on another drive" in capsys.readouterr().err

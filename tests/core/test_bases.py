@@ -200,3 +200,16 @@ def test_priors_of_the_full_linear_model_are_those_of_its_base() -> None:
 def test_a_steered_base_has_no_full_linear_model() -> None:
     with pytest.raises(FglocError, match="tricycle: a steered base has no full linear model"):
         bases.full_linear(bases.tricycle(0.1, 0.8))
+
+
+def test_body_odometry_is_the_displacement_itself_times_its_scales() -> None:
+    base = bases.body_odometry()
+    assert base.driven_names == ("forward", "left", "turn")
+    moved = turns(3)
+    np.testing.assert_array_equal(base.displacements(moved), moved)
+    scaled = base.with_values({"odometry_scale": 0.96, "rotation_scale": 1.1})
+    np.testing.assert_allclose(scaled.displacements(moved), moved * [0.96, 0.96, 1.1], atol=1e-15)
+    assert bases.full_linear(base) == base
+    sigma = {p.name: p.prior_sigma for p in base.parameters}
+    # Radii alone make the way, radii and track the turn: √(3² + 5²) % = 5.8 %.
+    assert sigma == pytest.approx({"odometry_scale": 0.03, "rotation_scale": 0.0583}, abs=1e-4)

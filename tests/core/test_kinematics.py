@@ -51,6 +51,7 @@ BASES = {
 LINEAR = {
     "full-linear": bases.full_linear(BASES["skid-steer"]),
     "full-linear-omni": bases.full_linear(BASES["omni3"]),
+    "odometry": bases.body_odometry(),
 }
 every_base = pytest.mark.parametrize("base", (BASES | LINEAR).values(), ids=BASES | LINEAR)
 every_geometry = pytest.mark.parametrize("base", BASES.values(), ids=BASES)

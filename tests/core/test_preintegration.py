@@ -28,6 +28,7 @@ BASES: dict[str, WheeledBase] = {
     "full-linear": bases.full_linear(bases.differential(0.05, 0.051, 0.3)),
     "tricycle": bases.tricycle(0.1, 0.8, steer_offset=0.02),
     "swerve": bases.four_wheel_steer(FOUR, CORNERS, (0.06, 0.06, 0.061, 0.059)),
+    "odometry": bases.body_odometry(),
 }
 STEERED = ("tricycle", "swerve")
 
@@ -275,3 +276,20 @@ def test_wheels_that_do_not_determine_the_motion_are_refused() -> None:
     wheels = WheelIncrements("wheels", stamps, np.ones((3, 2)), ("a", "b"))
     with pytest.raises(FglocError, match="loose: these wheels do not determine"):
         preintegrate(split_at(wheels, stamps[[0, 3]]), Robot("r", loose, NOISE))
+
+
+def test_a_body_odometry_slips_sideways_and_veers_on_its_way() -> None:
+    # One straight interval of 4 m in 2 s: its heading wanders evenly along the way.
+    base = bases.body_odometry()
+    stamps = np.array([0, 2_000_000_000], dtype=np.int64)
+    wheels = WheelIncrements("wheels", stamps, np.array([[4.0, 0.0, 0.0]]), base.driven_names)
+    noise = WheelNoise(0.01, 0.03, 0.5, standing=0.0, standing_turn=0.0, veering=0.02)
+    pre = preintegrate(split_at(wheels, stamps), Robot("r", base, noise))
+    np.testing.assert_allclose(pre.displacement[0], [4.0, 0.0, 0.0], atol=1e-15)
+    turned = 0.02**2 * 4.0
+    # As a twist the heading error is steady: half of it times the way is the error across.
+    across = 0.03**2 * 4.0 + (4.0 / 2.0) ** 2 * turned
+    expected = [[0.01**2 * 4.0, 0, 0], [0, across, 2.0 * turned], [0, 2.0 * turned, turned]]
+    np.testing.assert_allclose(pre.covariance[0], expected, atol=1e-12)
+    # Scales of 1: the way by odometry_scale, the turn by rotation_scale of no turn.
+    np.testing.assert_allclose(pre.jacobian[0], [[4.0, 0.0], [0.0, 0.0], [0.0, 0.0]], atol=1e-12)

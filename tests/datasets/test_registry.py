@@ -84,7 +84,7 @@ def test_the_recorded_jackal_by_its_nominal_wheels(data_dir: Path) -> None:
     ("drive_id", "what"),
     [
         ("vitko-swerv:1", "no dataset is called 'vitko-swerv'; did you mean vitko-swerve"),
-        ("martian:1", "known are vitko-swerve, optiodom, jackal-jackass, sim"),
+        ("martian:1", "known are vitko-swerve, optiodom, jackal-jackass, polimi-mecanum, robot-"),
         ("vitko-swerve:1", "fgloc datasets fetch vitko-swerve"),
         ("vitko-swerve", "write it like vitko-swerve:1"),
         ("jackal-jackass:7", "no run '7' here; there are 0"),

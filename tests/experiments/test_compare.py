@@ -215,6 +215,7 @@ def test_method_ids() -> None:
         "model2",
         "model3",
         "pose-ekf",
+        "rl-ekf",
         "ekf-slam",
         "batch",
         "online",
@@ -222,9 +223,28 @@ def test_method_ids() -> None:
     assert parse_methods("model1, batch,model1") == ("model1", "batch")
     for method in available():
         assert create(method).method == method
-    with pytest.raises(FglocError, match="model3 is not available yet"):
-        parse_methods("model1,model3")
+    with pytest.raises(FglocError, match="ekf-slam is not available yet"):
+        parse_methods("model1,ekf-slam")
     with pytest.raises(FglocError, match="unknown method 'model9'"):
         parse_methods("model9")
     with pytest.raises(FglocError, match="no method is named"):
         parse_methods(",")
+
+
+def test_encoders_are_selected_for_every_method_and_recorded() -> None:
+    drives = ["sim:seed-a-straight-slip20"]
+    plain = compare(drives, "model1,model2", integrator="midpoint")
+    chosen = compare(drives, "model1,model2", integrator="midpoint", encoder_selection=True)
+    assert comparison_json(plain)["encoder_selection"] is False
+    document = comparison_json(chosen)
+    assert document["encoder_selection"] is True
+    (entry,) = document["drives"]
+    assert any("one encoder a side is believed" in note for note in entry["notes"])
+    for method in ("model1", "model2"):
+        assert entry["methods"][method]["end_position_m"] < 1e-9
+        assert comparison_json(plain)["drives"][0]["methods"][method]["end_position_m"] > 0.08
+
+
+def test_encoders_that_cannot_be_selected_are_an_error() -> None:
+    with pytest.raises(FglocError, match="two or more encoders on each side"):
+        compare(["sim:square?robot=differential"], "model1", encoder_selection=True)

@@ -1,0 +1,106 @@
+"""The recorded datasets that this package can read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from fgloc.core.drive import Drive
+from fgloc.datasets import (
+    jackal_jackass,
+    optiodom,
+    polimi_mecanum,
+    robot_localization_bags,
+    turtlebot3_db3,
+    vitko_swerve,
+)
+from fgloc.io.bag_drive import BagDrive
+from fgloc.io.topics import TopicMap
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A family of recordings that this package can read."""
+
+    name: str
+    """Name in ids and of the folder below a data folder."""
+    robot: str
+    """What drove, for the user."""
+    licence: str
+    """Terms of the recordings."""
+    origin: str
+    """Where it is published."""
+    example: str
+    """One run, for messages."""
+    runs: Callable[[Path], list[str]]
+    """Lists the runs in the dataset's folder."""
+    load: Callable[[Path, str, str], Drive] | None
+    """Reads (folder, run, id of the drive); None: runs are bags."""
+    load_bag: Callable[[Path, str, str, TopicMap], BagDrive] | None = None
+    """Reads (folder, run, id of the drive, topic map) where runs are bags."""
+
+
+DATASETS: dict[str, Dataset] = {
+    d.name: d
+    for d in (
+        Dataset(
+            vitko_swerve.NAME,
+            "four-wheel-steer wall climber",
+            "none stated; research data",
+            "https://github.com/JakVit/4WIS4WID_parameter_calibration",
+            "1",
+            vitko_swerve.runs,
+            vitko_swerve.load,
+        ),
+        Dataset(
+            optiodom.NAME,
+            "differential, omni-3, mecanum, tricycle",
+            "MIT",
+            "https://github.com/sousarbarb/optiodom",
+            "diff/circular/250620202251/01",
+            optiodom.runs,
+            optiodom.load,
+        ),
+        Dataset(
+            jackal_jackass.NAME,
+            "Clearpath Jackal, skid-steer",
+            "MIT (stated in its README)",
+            "https://github.com/LeoBrizi/jackass-calibrator",
+            "0",
+            jackal_jackass.runs,
+            jackal_jackass.load,
+        ),
+        Dataset(
+            polimi_mecanum.NAME,
+            "mecanum platform, ROS 1 bags",
+            "none stated; course data",
+            "https://github.com/gabrieleginestroni/ros-robotics-2022",
+            "bag3",
+            polimi_mecanum.runs,
+            None,
+            polimi_mecanum.load,
+        ),
+        Dataset(
+            robot_localization_bags.NAME,
+            "Husky, Jackal, Mustang, ROS 1 bags",
+            "BSD",
+            "https://github.com/cra-ros-pkg/robot_localization",
+            "husky_test1",
+            robot_localization_bags.runs,
+            None,
+            robot_localization_bags.load,
+        ),
+        Dataset(
+            turtlebot3_db3.NAME,
+            "TurtleBot3, ROS 2 bag",
+            "none stated; research data",
+            "https://github.com/BoltonAthitDavies/fibo_mobilerobot",
+            "0",
+            turtlebot3_db3.runs,
+            None,
+            turtlebot3_db3.load,
+        ),
+    )
+}
+"""All readable datasets by name."""

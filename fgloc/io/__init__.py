@@ -1,0 +1,1 @@
+"""What other programs write: ROS bags, configurations, the bytes of drivers."""
