@@ -116,7 +116,7 @@ ROW: dict[Kind, int] = {
     Kind.SLIP_SIDE: 1,
     Kind.WHEEL_REDUNDANCY: 1,
 }
-"""Fewest numbers in a measurement row; wheels add 4 a calibration variable, priors have 2 (B+G)."""
+"""Fewest numbers in a measurement row; wheels add 3 a calibration variable, priors have 2 (B+G)."""
 
 PAIRWISE = frozenset(
     {

@@ -168,7 +168,7 @@ class Problem:
         scale = np.array([self.parameters[k].derivative(float(u[k])) for k in range(f)])
         everything = f == pre.jacobian.shape[2]
         by_value = pre.jacobian if everything else pre.jacobian[:, :, list(self.free)]
-        rows = np.empty((n, 3 + 3 * f + 3 * slips))
+        rows = np.empty((n, 3 + 3 * (f + slips)))
         jacobian = rows[:, 3 : 3 + 3 * f].reshape(n, 3, f)  # a view: one axis is cut in two
         np.multiply(by_value, scale, out=jacobian)
         # The kernel predicts D + J u + E s; shift D so that it is exact at the present u and s.
