@@ -22,6 +22,7 @@ import numpy as np
 
 from fgloc.core.bases import skid_steer
 from fgloc.core.drive import Drive
+from fgloc.core.geometry import wrap
 from fgloc.core.measurements import Floats, WheelIncrements, Yaw
 from fgloc.core.robot import Robot
 from fgloc.errors import FglocError
@@ -60,7 +61,7 @@ def varied_drive(packets: int, seed: int) -> Drive:
         "varied",
         Robot.typical("Jaguar 4x4", base),
         WheelIncrements("wheels", stamps, angles, base.driven_names),
-        (Yaw("yaw", stamps, _wrapped(readings), YAW_SIGMA),),
+        (Yaw("yaw", stamps, wrap(readings), YAW_SIGMA),),
     )
 
 
@@ -85,7 +86,7 @@ def filterpy_filter(settings: Model3Settings, start_sigma: float, track_sigma: f
 
     def difference(a: Floats, b: Floats) -> Floats:
         d = np.subtract(a, b)
-        d[2] = _wrapped(d[2])
+        d[2] = wrap(d[2])
         return d
 
     def mean(points: Floats, weights: Floats) -> Floats:
@@ -100,7 +101,8 @@ def filterpy_filter(settings: Model3Settings, start_sigma: float, track_sigma: f
     def move(s: Floats, dt: float, left: float, right: float) -> Floats:
         turn = (right - left) / s[3]
         way, along = (right + left) / 2.0, s[2] + turn / 2.0
-        return s + np.array([way * math.cos(along), way * math.sin(along), turn, 0.0])
+        step = np.array([way * math.cos(along), way * math.sin(along), turn, 0.0])
+        return np.asarray(s + step)
 
     ukf = UnscentedKalmanFilter(
         4,
@@ -112,7 +114,7 @@ def filterpy_filter(settings: Model3Settings, start_sigma: float, track_sigma: f
         x_mean_fn=mean,
         z_mean_fn=mean_heading,
         residual_x=difference,
-        residual_z=lambda a, b: _wrapped(np.subtract(a, b)),
+        residual_z=lambda a, b: wrap(np.subtract(a, b)),
         state_add=np.add,
     )
     ukf.x = np.array([0.0, 0.0, 0.0, NOMINAL_TRACK])
@@ -137,11 +139,6 @@ def filterpy_step(ukf: Any, left: float, right: float, heading: Floats) -> None:
     ukf.update(heading)
 
 
-def _wrapped(angle: Any) -> Any:
-    """Return angles [rad] in [-π, π)."""
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi
-
-
 def model3_rate(drive: Drive) -> float:
     """Return how many packets a second Model 3 takes, from the drive to the result."""
     Model3().estimate(drive)
@@ -150,14 +147,14 @@ def model3_rate(drive: Drive) -> float:
         begin = time.perf_counter()
         Model3().estimate(drive)
         seconds.append(time.perf_counter() - begin)
-    return drive.wheels.angles.shape[0] / min(seconds)
+    return float(drive.wheels.angles.shape[0] / min(seconds))
 
 
 def filterpy_rate(drive: Drive, packets: int) -> float:
     """Return how many of the first `packets` a second filterpy takes."""
     (yaw,) = drive.each(Yaw)
     ways = side_ways(drive)[:packets]
-    headings = _wrapped(yaw.yaw - yaw.yaw[0])[1:, None]
+    headings = wrap(yaw.yaw - yaw.yaw[0])[1:, None]
     seconds = []
     for _ in range(2):
         ukf = filterpy_filter(Model3Settings(), 1e-4, 0.168)

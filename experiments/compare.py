@@ -64,6 +64,7 @@ def compare(
     topics_file: Path | None = None,
     progress: Progress | None = None,
     estimators: Mapping[str, Estimator] | None = None,
+    ekf_file: str | None = None,
 ) -> Comparison:
     """Return the outcome of every method on every drive named.
 
@@ -73,9 +74,9 @@ def compare(
     description; `encoder_selection` leaves one encoder a side to all methods (see
     `fgloc.core.encoder_selection`); `topics_file` says which topic of ROS bags is what; `progress`
     is told after each drive and method; `estimators` are taken by method id in place of those with
-    default settings. Raises FglocError for a drive that cannot be read or whose encoders cannot be
-    selected, a method that does not exist, or if no
-    method can run on any drive.
+    default settings; `ekf_file` is where one of them was configured, for the record. Raises
+    FglocError for a drive that cannot be read or whose encoders cannot be selected, a method that
+    does not exist, or if no method can run on any drive.
     """
     ids = parse(methods)
     names = expand(list(drives), data)
@@ -92,6 +93,7 @@ def compare(
         seed,
         None if robot_file is None else str(robot_file),
         None if topics_file is None else str(topics_file),
+        ekf_file,
         encoder_selection,
     )
     return compare_drives(

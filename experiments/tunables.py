@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from fgloc.core.drive import Drive
 from fgloc.core.measurements import (
@@ -26,8 +27,8 @@ from fgloc.experiments.tuning_search import Bounds, Values
 from fgloc.filters.model3 import Model3, Model3Settings
 from fgloc.filters.pose_ekf import PoseEkf
 from fgloc.filters.pose_ekf_settings import PoseEkfSettings
-from fgloc.filters.rl_ekf import OWN_PROCESS_NOISE, RlEkf, default_config
-from fgloc.io.ekf_config import diagonal
+from fgloc.filters.rl_ekf import RlEkf, default_config
+from fgloc.io.ekf_config import PROCESS_NOISE, diagonal
 
 VARIANCE = 1000.0
 """A variance is searched from a thousandth to the thousandfold of its default."""
@@ -79,10 +80,11 @@ POSE_EKF = {
 no noise, and stay."""
 
 RL_EKF = {
-    "pose_variance": Noise(around(OWN_PROCESS_NOISE[0][0], VARIANCE)),
-    "velocity_variance": Noise(around(OWN_PROCESS_NOISE[3][3], VARIANCE)),
-    "rate_variance": Noise(around(OWN_PROCESS_NOISE[5][5], VARIANCE)),
-    "acceleration_variance": Noise(around(OWN_PROCESS_NOISE[6][6], VARIANCE)),
+    "position_variance": Noise(around(PROCESS_NOISE[0], VARIANCE)),
+    "heading_variance": Noise(around(PROCESS_NOISE[2], VARIANCE)),
+    "velocity_variance": Noise(around(PROCESS_NOISE[3], VARIANCE)),
+    "rate_variance": Noise(around(PROCESS_NOISE[5], VARIANCE)),
+    "acceleration_variance": Noise(around(PROCESS_NOISE[6], VARIANCE)),
     "camera_position": Noise(around(1.0, SIGMA), (CameraPoses,)),
     "camera_heading": Noise(around(1.0, SIGMA), (CameraPoses,)),
     "yaw": Noise(around(1.0, SIGMA), (Yaw,)),
@@ -90,7 +92,8 @@ RL_EKF = {
     "fix": Noise(around(1.0, SIGMA), FIXES),
 }
 """Process noise a second of the robot_localization-like filter, and factors on the sigmas that the
-drive's sensors state: that filter takes a measurement's covariance from its message."""
+drive's sensors state: that filter takes a measurement's covariance from its message. The wheels'
+sigmas stay: to multiply all noise by one number changes nothing."""
 
 
 @dataclass(frozen=True)
@@ -108,10 +111,11 @@ class TunedRlEkf:
     def estimate(self, drive: Drive) -> Result:
         """Return what the filter makes of the drive; raises FglocError as it does."""
         used = {name: n.bounds.default for name, n in RL_EKF.items()} | dict(self.values)
-        pose, speed, rate, force = (
-            used[f"{what}_variance"] for what in ("pose", "velocity", "rate", "acceleration")
+        position, heading, speed, rate, force = (
+            used[f"{what}_variance"]
+            for what in ("position", "heading", "velocity", "rate", "acceleration")
         )
-        noise = diagonal((pose, pose, pose, speed, speed, rate, force, force))
+        noise = diagonal((position, position, heading, speed, speed, rate, force, force))
         factors = {name: f for name, f in used.items() if not name.endswith("_variance")}
         config = replace(default_config(drive), process_noise=noise)
         return RlEkf(config).estimate(with_noise(drive, factors))
@@ -150,12 +154,14 @@ def with_noise(drive: Drive, factors: Mapping[str, float]) -> Drive:
 
 def build_model3(values: Values) -> Estimator:
     """Return Model 3 with these variances."""
-    return Model3(Model3Settings(**values))
+    named: dict[str, Any] = dict(values)
+    return Model3(Model3Settings(**named))
 
 
 def build_pose_ekf(values: Values) -> Estimator:
     """Return the pose EKF with these factors."""
-    return PoseEkf(PoseEkfSettings(**values))
+    named: dict[str, Any] = dict(values)
+    return PoseEkf(PoseEkfSettings(**named))
 
 
 def build_rl_ekf(values: Values) -> Estimator:

@@ -174,6 +174,7 @@ def _compare(commands: Commands[argparse.ArgumentParser]) -> None:
         "fgloc compare sim:demo --out runs",
         "fgloc compare vitko-swerve:1 vitko-swerve:2 --methods model1,batch --json out.json",
         "fgloc compare 'optiodom:diff/circular/*' --fixes 10:0.002",
+        "fgloc compare robot.bag --ekf ekf.yaml --methods rl-ekf,pose-ekf,online",
     )
     parser.add_argument("drives", metavar="DRIVE", nargs="+", help=DRIVE)
     parser.add_argument(
@@ -184,6 +185,12 @@ def _compare(commands: Commands[argparse.ArgumentParser]) -> None:
         choices=INTEGRATORS,
         default="exact",
         help="step of model1 (default: exact on an arc of constant twist)",
+    )
+    parser.add_argument(
+        "--ekf",
+        metavar="FILE[:NODE]",
+        help="configuration of rl-ekf: an ekf.yaml of robot_localization (default: made from the "
+        "drive's sensors)",
     )
     _fix_options(parser)
     _robot_option(parser)

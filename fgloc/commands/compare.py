@@ -9,25 +9,53 @@ from typing import Any
 
 from fgloc.atomic import write_text
 from fgloc.commands.places import check_file, check_folder
+from fgloc.errors import FglocError
 from fgloc.estimator import Estimator
 from fgloc.experiments.compare import Step, compare
 from fgloc.experiments.fixes import parse as parse_fixes
 from fgloc.experiments.methods import create, resolved
+from fgloc.experiments.methods import parse as parse_methods
+from fgloc.filters.rl_ekf import RlEkf
+from fgloc.io.ekf_yaml import load_ekf
 from fgloc.report.outcomes import Comparison
 from fgloc.report.progress import ProgressLines, telling_of_compilation
 from fgloc.report.results_json import comparison_json, dumps
 from fgloc.report.run_files import write_run
 from fgloc.report.tables import print_comparison
 
+RL_EKF = "rl-ekf"
+"""Method that --ekf configures."""
+
 
 def run(args: argparse.Namespace) -> int:
     """Compare, write --json and --out, print the tables; return 0."""
-    arguments = {"drives": args.drives, "methods": args.methods, "integrator": args.integrator}
+    arguments = {
+        "drives": args.drives,
+        "methods": args.methods,
+        "integrator": args.integrator,
+        "ekf": args.ekf,
+    }
+    estimators = _configured(args.ekf, args.methods)
     comparison = compare_with_progress(
-        args, args.drives, args.methods, integrator=args.integrator, title="comparing"
+        args,
+        args.drives,
+        args.methods,
+        integrator=args.integrator,
+        title="comparing",
+        estimators=estimators,
+        ekf_file=args.ekf,
     )
-    report(args, comparison, arguments)
+    report(args, comparison, arguments, estimators)
     return 0
+
+
+def _configured(ekf: str | None, methods: str) -> dict[str, Estimator]:
+    """Return the estimator that --ekf configures, by method id; none without the option."""
+    if ekf is None:
+        return {}
+    if RL_EKF not in parse_methods(methods):
+        raise FglocError(f"--ekf configures {RL_EKF}, which --methods leaves out; add it there")
+    return {RL_EKF: RlEkf(load_ekf(ekf))}
 
 
 def compare_with_progress(
@@ -38,10 +66,12 @@ def compare_with_progress(
     title: str,
     integrator: Any = "exact",
     estimators: Mapping[str, Estimator] | None = None,
+    ekf_file: str | None = None,
 ) -> Comparison:
     """Return the comparison that the options common to `compare`, `smooth` and `localise` ask for.
 
-    `estimators` are taken by method id in place of those with default settings.
+    `estimators` are taken by method id in place of those with default settings; `ekf_file` is where
+    one of them was configured, for the record.
 
     Raises FglocError before anything is read if --json or --out cannot be written.
     """
@@ -68,6 +98,7 @@ def compare_with_progress(
             topics_file=args.topics,
             progress=tell,
             estimators=estimators,
+            ekf_file=ekf_file,
         )
 
 

@@ -27,6 +27,7 @@ REQUIRED = {
     "numba": "numba",
     "msgspec": "msgspec",
     "rich": "rich",
+    "ruamel.yaml": "ruamel.yaml",
 } | ({"libusb-package": "libusb_package"} if sys.platform == "linux" else {})
 """Distribution -> module of every core dependency; a test compares it with pyproject.toml."""
 OPTIONAL = {

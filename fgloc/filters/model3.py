@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
+import numpy.typing as npt
 
 from fgloc.core.checks import check_noise
 from fgloc.core.drive import Drive
@@ -239,7 +240,7 @@ def _start_sigma(settings: Model3Settings, drive: Drive) -> Floats:
     return np.full(3, ORIGIN_SIGMA) if drive.truth is None else np.array(drive.truth.sigma)
 
 
-def _yaw_readings(yaw: Yaw, stamps: Stamps) -> tuple[Floats, Stamps, np.ndarray]:
+def _yaw_readings(yaw: Yaw, stamps: Stamps) -> tuple[Floats, Stamps, npt.NDArray[np.bool_]]:
     """Return for (N+1,) stamps the reading [rad], what to do with it, and which steps are silent.
 
     A reading nearest to several stamps (a sensor slower than the wheels) is used at the nearest of

@@ -105,6 +105,7 @@ def run_filter(
     turn_variances: Floats,
     turn_gates: Floats,
     rounding: Floats,
+    horizon_s: float,
     patience: Codes,
     x: Floats,
     p: Floats,
@@ -148,8 +149,11 @@ def run_filter(
                     if v0 * v0 <= turn_gates[g] * total:
                         fuse_turn(step, q, v0, variance, rounding[2])
                         turn_status[g, cut - 1] = ACCEPTED
-            predict(x, p, step, q)
             seconds = (cuts_ns[cut] - cuts_ns[cut - 1]) * 1e-9
+            bent = _second_order(p[2, 2], step) * horizon_s / seconds
+            q[0, 0] += bent
+            q[1, 1] += bent
+            predict(x, p, step, q)
             for k in range(3, n):
                 p[k, k] += zero_walk[k - 3] * seconds
         for e in range(first[cut], first[cut + 1]):
@@ -240,6 +244,20 @@ def run_filter(
             covariances[k, 0, 1] += c * sn * (a - b)
             covariances[k, 1, 0] = covariances[k, 0, 1]
             covariances[k, 2, 2] += rounding[2] * rounding[2]
+
+
+@compiled
+def _second_order(variance: float, step: Floats) -> float:
+    """Return the variance [m²] of a step that linearising at an uncertain heading leaves out.
+
+    A step of length l along a heading wrong by e ~ N(0, v) falls short by l e² / 2, which varies by
+    l² v² / 2. That is nothing for a good heading; without it, a filter whose heading is off by a
+    radian believes fixes to tell more of the heading than they do, then rejects the next ones. On a
+    winding way it lies in every direction. Beyond one radian nothing is known anyway.
+    """
+    v = min(variance, 1.0)
+    squared: float = step[0] * step[0] + step[1] * step[1]
+    return 0.5 * v * v * squared
 
 
 @compiled

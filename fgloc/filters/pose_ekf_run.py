@@ -20,6 +20,7 @@ from fgloc.filters.pose_ekf_kernel import (
     REFERENCE,
     REJECTED,
     YAW,
+    Codes,
     run_filter,
 )
 from fgloc.filters.pose_ekf_settings import PoseEkfSettings
@@ -82,7 +83,7 @@ class Run:
             return self.filter()
         last = self.events.cuts_ns.size
         self._run(0, last, fixes=False)
-        found = self._aligned(np.flatnonzero(absolute))
+        found = self._aligned(np.flatnonzero(absolute).astype(np.int64))
         if found is None:
             return (
                 "no truth to start from, and the fixes do not tell the heading: they are not used, "
@@ -212,6 +213,7 @@ class Run:
             events.turn_variances,
             np.full(len(events.gyros), settings.gyro_gate**2),
             events.rounding,
+            settings.horizon_s,
             np.array([settings.patience_count, int(waiting)], dtype=np.int64),
             self._x,
             self._p,
@@ -227,7 +229,7 @@ class Run:
             self._turn_innovations,
         )
 
-    def _aligned(self, fixes: Floats) -> tuple[Floats, Floats, int, int] | None:
+    def _aligned(self, fixes: Codes) -> tuple[Floats, Floats, int, int] | None:
         """Return where the path by dead reckoning lies in the map, as the first fixes tell.
 
         `fixes` are the events of position and pose fixes. Pose (3,) of the path's frame in the map,

@@ -39,8 +39,8 @@ class PoseEkfSettings:
     """Factor on the noise of position and pose fixes."""
     horizon_s: float = 10.0
     """What is wrong the same way for long (calibration, gyro bias, steady yaw drift, the camera's
-    walk, mounting and scale) is not estimated. The filter is told of it as white noise that adds up
-    to the same in this time [s]."""
+    walk, mounting and scale, what a wrong heading does to the way) is not estimated. The filter is
+    told of it as white noise that adds up to the same in this time [s]; 0 leaves it out."""
     camera_gate: float = 5.0
     """A camera pose further off than so many standard deviations (Mahalanobis distance of three
     numbers) is rejected; inf takes all."""

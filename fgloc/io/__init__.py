@@ -1,1 +1,1 @@
-"""What other programs write: ROS bags, configurations, the bytes of drivers."""
+"""Recordings, devices and configurations of others: ROS bags, robot_localization's ekf.yaml."""

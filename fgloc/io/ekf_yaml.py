@@ -210,7 +210,7 @@ class _Reader:
     def _inputs(self) -> tuple[EkfInput, ...]:
         """Return all inputs, by kind and number."""
         found = {
-            (KINDS.index(match[1]), int(match[2])): match[1] + match[2]  # type: ignore[arg-type]
+            (KINDS.index(match[1]), int(match[2])): match[1] + match[2]
             for key in self._all
             if (match := INPUT.fullmatch(key)) and match[3] is None
         }
@@ -232,7 +232,7 @@ class _Reader:
         for reason, flags in (
             ("not planar", [f for f in FLAGS if f in asked and f not in PLANAR]),
             (
-                f"{'an' if kind == 'imu' else 'a'} {kind} input has none",
+                f"{'an' if kind in ('imu', 'odom') else 'a'} {kind} input has none",
                 [f for f in PLANAR if f in asked and f not in MEASURES[kind]],
             ),
         ):
@@ -289,7 +289,8 @@ class _Reader:
         if "initial_state" in self._left:
             del self._left["initial_state"]
             self._notes.append("initial_state is not honoured: all methods start at the same pose")
-        quiet, unknown = [], []
+        quiet: list[str] = []
+        unknown: list[str] = []
         for key in self._left:
             match = INPUT.fullmatch(key)
             ending = match[3] if match else None

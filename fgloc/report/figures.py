@@ -18,6 +18,7 @@ COLOURS = {
     "model2": "#E69F00",
     "model3": "#56B4E9",
     "pose-ekf": "#CC79A7",
+    "rl-ekf": "#7F4FC9",
     "ekf-slam": "#8C6D31",
     "batch": "#D55E00",
     "online": "#009E73",
@@ -28,6 +29,7 @@ STYLES = {
     "model2": (0, (1, 1)),
     "model3": (0, (3, 1, 1, 1)),
     "pose-ekf": (0, (7, 2, 1, 2)),
+    "rl-ekf": (0, (4, 1, 1, 1, 1, 1)),
     "ekf-slam": (0, (2, 2)),
 }
 """Dash pattern of methods that are not drawn as a solid line."""

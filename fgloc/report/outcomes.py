@@ -51,6 +51,8 @@ class Settings:
     """Path of the robot file; None if the drives' own descriptions were used."""
     topics_file: str | None = None
     """Path of the topic map of ROS bags; None if it was guessed or the dataset's own."""
+    ekf_file: str | None = None
+    """Path given to --ekf; None if rl-ekf made its configuration from the drives' sensors."""
     encoder_selection: bool = False
     """Whether one encoder a side was selected for every method."""
 

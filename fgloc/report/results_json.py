@@ -31,6 +31,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
         "fixes": fixes,
         "robot_file": settings.robot_file,
         "topics_file": settings.topics_file,
+        "ekf_file": settings.ekf_file,
         "encoder_selection": settings.encoder_selection,
         "start": START,
         "alignment": ALIGNMENT,

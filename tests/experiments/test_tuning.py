@@ -84,7 +84,7 @@ class _Wrong:
 
 def test_finds_the_best_values_within_the_budget() -> None:
     bowl = Bowl()
-    found = tune(bowl.tunable(), [still(), still("twice")], 150, seed=3)
+    found = tune(bowl.tunable(), [still(), still("twice")], 120, seed=3)
     # The defaults are decades away.
     assert found.default_score == pytest.approx(mean_score(bowl.build(DEFAULTS), [still()]) * 1.5)
     assert found.default_score > 10.0
@@ -92,7 +92,7 @@ def test_finds_the_best_values_within_the_budget() -> None:
     for name, value in found.values.items():
         assert abs(math.log10(value / BEST[name])) < 0.1
     assert found.at_limit == ()
-    assert found.evaluations == len(found.history) == 150
+    assert found.evaluations == len(found.history) == 120
     assert found.best_score == min(t.score for t in found.history)
     assert found.score == pytest.approx(found.best_score, rel=0.01)
     assert all(r.low <= t.values[n] <= r.high for t in found.history for n, r in RANGES.items())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,9 +28,11 @@ from fgloc.core.measurements import (
 )
 from fgloc.core.robot import Robot
 from fgloc.core.trajectory import Trajectory
+from fgloc.datasets.registry import load_drive
 from fgloc.datasets.simulator import load_sim
 from fgloc.errors import FglocError
 from fgloc.estimator import Result
+from fgloc.experiments.fixes import with_fixes
 from fgloc.filters.model1 import Model1
 from fgloc.filters.pose_ekf import PoseEkf
 from fgloc.filters.pose_ekf_settings import PoseEkfSettings
@@ -328,3 +331,24 @@ def test_settings_are_checked(name: str, value: float) -> None:
         PoseEkfSettings(**{name: value})
     with pytest.raises(FglocError, match="horizon_s must be not negative"):
         PoseEkfSettings(horizon_s=-1.0)
+
+
+def test_a_heading_that_is_hardly_known_does_not_lose_the_robot(data_dir: Path) -> None:
+    """A skidding robot whose nominal track is off by half, with a fix every 10 s and nothing else.
+
+    The heading is off by a radian between fixes, more than linearising allows. A filter told of
+    white noise only is lost.
+    """
+    if not (data_dir / "jackal-jackass").is_dir():
+        pytest.skip("jackal-jackass is not in FGLOC_DATA")
+    drive = with_fixes(load_drive("jackal-jackass:1", data_dir), 10.0, 0.05, 0)
+    found = {}
+    for settings in (PoseEkfSettings(), WHITE):
+        result = PoseEkf(settings).estimate(drive)
+        found[settings] = (scores(result, drive), result.counts["fixes"].rejected)
+    good, rejected = found[PoseEkfSettings()]
+    assert rejected == 0
+    assert good.nees is not None
+    assert good.nees < 6.0
+    assert good.ate_rmse_m < 1.0
+    assert found[WHITE][0].ate_rmse_m > 1.0
