@@ -116,7 +116,7 @@ ROW: dict[Kind, int] = {
     Kind.SLIP_SIDE: 1,
     Kind.WHEEL_REDUNDANCY: 1,
 }
-"""Fewest numbers in a measurement row; wheels add 4 a calibration variable, priors have 2 (B+G)."""
+"""Fewest numbers in a measurement row; wheels add 3 a calibration variable, priors have 2 (B+G)."""
 
 PAIRWISE = frozenset(
     {
@@ -167,7 +167,7 @@ class FactorTable:
         # Compiled code does not check bounds: a missing column would be read from elsewhere.
         least = ROW[self.kind]
         if self.kind in (Kind.WHEEL, Kind.WHEEL_SLIP):
-            least += 4 * (self.calibration.stop - self.calibration.start)
+            least += 3 * (self.calibration.stop - self.calibration.start)
         elif self.kind == Kind.WHEEL_REDUNDANCY:
             least = 2 + self.dimension
         elif self.kind == Kind.STATE_PRIOR:

@@ -87,6 +87,7 @@ def build_parser() -> argparse.ArgumentParser:
     _compare(commands)
     _simulate(commands)
     _datasets(commands)
+    _experiments(commands)
     _doctor(commands)
     return parser
 
@@ -248,6 +249,38 @@ def _datasets(commands: Commands[argparse.ArgumentParser]) -> None:
     _common(convert, "data")
 
 
+def _experiments(commands: Commands[argparse.ArgumentParser]) -> None:
+    """Add `fgloc experiments` and its own commands."""
+    parser = _command(
+        commands,
+        "experiments",
+        "list or run the experiments that put published numbers beside this program's",
+        "fgloc experiments list",
+        "fgloc experiments run seed-a-simulation --out runs",
+    )
+    inner = parser.add_subparsers(dest="experiments_command", metavar="WHAT", required=True)
+    listing = _command(inner, "list", "what there is, and what can run on this machine")
+    _common(listing, "data", "json")
+    run = _command(
+        inner,
+        "run",
+        "run one experiment and print its tables",
+        "fgloc experiments run seed-a-simulation --seeds 20 --json out.json",
+    )
+    run.add_argument("name", metavar="NAME", help="a name from `fgloc experiments list`")
+    run.add_argument(
+        "--seeds", metavar="N", type=_count, help="seeds to run over (default: the experiment's)"
+    )
+    run.add_argument(
+        "--processes",
+        metavar="N",
+        type=_count,
+        default=2,
+        help="worker processes; results do not depend on it (default: 2)",
+    )
+    _common(run, "data", "json", "out")
+
+
 def _doctor(commands: Commands[argparse.ArgumentParser]) -> None:
     """Add `fgloc doctor`."""
     parser = _command(commands, "doctor", "check that everything needed is installed and works")
@@ -378,6 +411,14 @@ def _seed(text: str) -> int:
     if not text.isascii() or not text.isdigit():
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 0")
     return int(text)
+
+
+def _count(text: str) -> int:
+    """Return a whole number of at least 1."""
+    number = int(text) if text.isascii() and text.isdigit() else 0
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
+    return number
 
 
 def _json_file(text: str) -> Path:

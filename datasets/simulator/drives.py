@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
 from fgloc.core.drive import Drive, Reference
 from fgloc.core.kinematics import WheeledBase, prior_correlation
 from fgloc.core.measurements import Floats
-from fgloc.core.robot import WheelNoise
+from fgloc.core.robot import scaled
 from fgloc.core.trajectory import Trajectory
-from fgloc.datasets.simulator import seed_a
+from fgloc.datasets.simulator import seed_a, seed_a_vehicle
 from fgloc.datasets.simulator.course import Course, roll
 from fgloc.datasets.simulator.disturbance import disturb
 from fgloc.datasets.simulator.faults import Slip, apply_slip, describe, parse_slips
@@ -33,6 +33,7 @@ NAMED: dict[str, SimSpec] = {
         fix=FixModel(every=10.0, sigma=0.05),
     ),
     **seed_a.SPECS,
+    **seed_a_vehicle.SPECS,
 }
 """All simulated drives by name, with their own settings."""
 
@@ -52,6 +53,8 @@ def load_sim(spec: str) -> Drive:
     name = f"sim:{spec}"
     if settings.name in seed_a.SPECS:
         return seed_a.build_drive(settings, name)
+    if settings.name in seed_a_vehicle.SPECS:
+        return seed_a_vehicle.build_drive(settings, name)
     return simulate(settings, name)
 
 
@@ -84,11 +87,6 @@ def true_values(model: RobotModel, spec: SimSpec) -> Floats:
             )
         values[names.index("effective_track")] = spec.effective_track
     return values
-
-
-def _scaled(noise: WheelNoise, factor: float) -> WheelNoise:
-    """Return the noise with every sigma times `factor`."""
-    return WheelNoise(**{f.name: factor * getattr(noise, f.name) for f in fields(noise)})
 
 
 def _slips(
@@ -137,7 +135,7 @@ def simulate(spec: SimSpec, name: str) -> Drive:
     truth_by_name = {p.name: float(v) for p, v in zip(base.parameters, values, strict=True)}
     if "icr_x" in truth_by_name:
         wanted[:, 1] = -truth_by_name["icr_x"] * wanted[:, 2]
-    noise = _scaled(model.robot.noise, spec.wheel_noise)
+    noise = scaled(model.robot.noise, spec.wheel_noise)
     rng = generator(spec.seed, "rolling")
     commanded, true = disturb(wanted, base, values, model.steered, noise, step_ns * 1e-9, rng)
     course = Course.follow(true, step_ns)

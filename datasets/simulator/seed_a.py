@@ -1,4 +1,4 @@
-"""The simulated cases of seed A: a 4×4 skid-steer vehicle in three motions and five scenarios.
+"""The simulated cases of seed A: a 4×4 skid-steer vehicle in three motions and seven scenarios.
 
 Definition: encoder packets at 5 Hz for 10 s; the vehicle starts and stops instantly; one count
 rolls s = 2πR/N with R = 0.135 m and N = 300. The effective track differs between the cases.
@@ -62,16 +62,22 @@ CASES: dict[str, Case] = {
     "circle": Case(0.9, 100.0, 60.0, 0.0, 10.0),
 }
 
+SLIP20 = (Slip(("fl",), 3.0, 5.0, 1.2), Slip(("rr",), 4.0, 5.0, 1.2))
+"""The slip that the seed describes: front left and rear right turn 20 % faster than they roll."""
 SCENARIOS: dict[str, tuple[Slip, ...]] = {
     "ideal": (),
     "noise": (),
-    "slip20": (Slip(("fl",), 3.0, 5.0, 1.2), Slip(("rr",), 4.0, 5.0, 1.2)),
+    "slip20": SLIP20,
     "slip40ticks": (
         Slip(("fl",), 3.0, 5.0, extra_rate=SLIP_TICKS * TICK / (PACKET_NS * 1e-9)),
         Slip(("rr",), 4.0, 5.0, extra_rate=SLIP_TICKS * TICK / (PACKET_NS * 1e-9)),
     ),
     "bothleft": (Slip(("fl", "rl"), 3.0, 5.0, 1.2),),
+    "allwheels": (Slip(("fl", "fr", "rl", "rr"), 3.0, 5.0, 1.2),),
+    "slip20noise": SLIP20,
 }
+NOISY = ("noise", "slip20noise")
+"""Scenarios whose encoders and yaw are noisy."""
 
 NOISE = WheelNoise(rolling=0.006, lateral=0.006, turning=0.003)
 """What the drives state as their wheels' noise: the process noise of the seed's own filter, 1 mm
@@ -80,24 +86,25 @@ RADIUS_SIGMA = 0.0005 / math.sqrt(3.0)
 """Prior sigma of the wheel radius [m]: 0.135 m is exact but for its last printed digit."""
 
 IDEAL_YAW = YawModel(rate=5.0, sigma=0.0, resolution=0.0, drift=0.0, walk=0.0)
-"""Yaw of all scenarios but "noise": the true heading at every packet."""
+"""Yaw of all other scenarios: the true heading at every packet."""
 NOISY_YAW = YawModel(rate=5.0, sigma=0.0, resolution=0.01, drift=DRIFT, walk=0.0)
-"""Yaw of scenario "noise": a linear drift is added first, then the sum is rounded to 0.01 rad."""
+"""Yaw of the noisy scenarios: a linear drift is added first, then the sum is rounded to 0.01 rad.
+When the first step of the drift is seen is a matter of the key `yaw_zero`."""
 
 SPECS: dict[str, SimSpec] = {
     f"seed-a-{case}-{scenario}": SimSpec(
-        f"seed-a-{case}-{scenario}", yaw=NOISY_YAW if scenario == "noise" else IDEAL_YAW
+        f"seed-a-{case}-{scenario}", yaw=NOISY_YAW if scenario in NOISY else IDEAL_YAW
     )
     for case in CASES
     for scenario in SCENARIOS
 }
-"""The named drives: three cases times five scenarios."""
+"""The named drives: three cases times seven scenarios."""
 
 
 def build_drive(spec: SimSpec, name: str) -> Drive:
     """Return the drive of a spec from `SPECS` under the id `name`.
 
-    Wheel increments are whole counts, except in scenario "noise", where each of the four wheels
+    Wheel increments are whole counts, except in noisy scenarios, where each of the four wheels
     gets uniform ±0.5 count in every packet. The nominal track is the case's own unless the spec
     says otherwise.
     """
@@ -115,10 +122,10 @@ def build_drive(spec: SimSpec, name: str) -> Drive:
     robot = _robot(spec.nominal_track if spec.nominal_track is not None else case.track)
     base = robot.base
     counts = np.stack([left, right, left, right], axis=1)
-    if scenario == "noise":
-        counts += generator(spec.seed, "encoder").uniform(-0.5, 0.5, counts.shape)
     slips = SCENARIOS[scenario]
     angles = apply_slip(counts * TICK, course.boundaries_ns, base.driven_names, slips)
+    if scenario in NOISY:
+        angles += TICK * generator(spec.seed, "encoder").uniform(-0.5, 0.5, counts.shape)
     sensors, mounts = measure_all(course, spec)
     values = {p.name: p.nominal for p in base.parameters} | {"effective_track": case.track}
     return Drive(

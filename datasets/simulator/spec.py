@@ -71,16 +71,21 @@ class SimSpec:
     """Position fixes."""
 
 
-SEED_A_KEYS = ("seed", "nominal_track", "yaw", "yaw_rate")
+SEED_A_KEYS = ("seed", "nominal_track", "yaw", "yaw_rate", "yaw_zero")
 """Keys of the seed-a drives: their motion, slip and noise are fixed by definition."""
-SEED_A_SENSORS = ("gyro", "acc", "camera", "fix")
-"""Sensors that may be added to the seed-a drives, with all of their keys."""
+VEHICLE_KEYS = ("seed", "nominal_track", "wheel_noise")
+"""Keys of the seed-a-vehicle drives: their motion and slip are those of three laboratory runs."""
+ADDED_SENSORS = ("gyro", "acc", "camera", "fix")
+"""Sensors that may be added to either, with all of their keys."""
 
 Setters = dict[str, tuple[tuple[str, ...], str]]
 
 
-def keys(seed_a: bool = False) -> Setters:
-    """Return the query keys: name → (path of field names in SimSpec, type of the value)."""
+def keys(drive: str = "") -> Setters:
+    """Return the query keys of a named drive: key → (path of field names in SimSpec, type).
+
+    Without a name, all there are.
+    """
     found: Setters = {}
     plain = SimSpec("")
     for f in dataclasses.fields(SimSpec):
@@ -93,9 +98,13 @@ def keys(seed_a: bool = False) -> Setters:
                 found[key] = ((f.name, inner.name), str(inner.type))
         else:
             found[f.name] = ((f.name,), str(f.type))
-    if not seed_a:
+    if not drive.startswith("seed-a-"):
         return found
-    return {k: v for k, v in found.items() if k in SEED_A_KEYS or v[0][0] in SEED_A_SENSORS}
+    if drive.startswith("seed-a-vehicle-"):
+        named, sensors = set(VEHICLE_KEYS), {"yaw", *ADDED_SENSORS}
+    else:
+        named, sensors = set(SEED_A_KEYS), set(ADDED_SENSORS)
+    return {k: v for k, v in found.items() if k in named or v[0][0] in sensors}
 
 
 def _value(key: str, text: str, kind: str) -> Any:
@@ -128,7 +137,7 @@ def parse(text: str, named: dict[str, SimSpec]) -> SimSpec:
             f"there is no simulated drive {name!r}; use one of {', '.join(sorted(named))}"
         )
     spec = named[name]
-    known = keys(name.startswith("seed-a-"))
+    known = keys(name)
     for item in query.split("&") if query else []:
         key, equals, value = item.partition("=")
         if key not in known or not equals:

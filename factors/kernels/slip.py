@@ -33,26 +33,17 @@ def wheel_slip(
 ) -> None:
     """Residual between xi⁻¹ ∘ xj and D + J g + E s, what wheels predict that slip by s.
 
-    m = [D (3), J (3 × G row by row), c (G), E (3 × S row by row)]: displacement, its derivative
-    by the calibration in solver units, what makes the way larger (see `wheel_odometry`), and the
-    derivative by the slips, columns `slot` to slot + S of xj.
+    m = [D (3), J (3 × G row by row), E (3 × S row by row)]: displacement, its derivative by the
+    calibration in solver units and by the slips, columns `slot` to slot + S of xj.
     """
     wheel_odometry(xi, xj, g, m, slot, r, ji, jj, jg)
-    start = 3 + 4 * g.size
+    start = 3 + 3 * g.size
     n = (m.size - start) // 3
-    size = 0.0
-    for k in range(g.size):
-        size += m[3 + 3 * g.size + k] * g[k]
-    shrink = np.exp(-size)
     for a in range(3):
-        unit = shrink if a < 2 else 1.0
         for k in range(n):
-            d = m[start + a * n + k] * unit
+            d = m[start + a * n + k]
             r[a] -= d * xj[slot + k]
             jj[a, slot + k] = -d
-            if a < 2:
-                for i in range(g.size):
-                    jg[a, i] += m[3 + 3 * g.size + i] * d * xj[slot + k]
     # Slip takes turn away; wrap again, as the first wrap did not know of it.
     r[2] = wrap_scalar(r[2])
 

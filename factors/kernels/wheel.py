@@ -35,17 +35,11 @@ def wheel_odometry(
 ) -> None:
     """Residual between xi⁻¹ ∘ xj and the displacement D + J g that the wheels predict.
 
-    m = [D (3), J (3 × G row by row), c (G)]; g are the calibration variables in solver units. The
-    first-order correction in g is exact as long as the table was integrated near g. The way is
-    measured in wheel sizes: both its components are divided by exp(c·g), how much larger the
-    wheels are than nominal. Beside a sensor of unknown scale, wheels and path could otherwise
-    shrink together and every residual with them, a few percent over a thousand intervals.
+    m = [D (3), J (3 × G row by row)]; g are the calibration variables in solver units. The
+    first-order correction in g is exact as long as the table was integrated near g.
     """
     relative_pose(xi, xj, r, ji, jj)
     n = g.size
-    size = 0.0
-    for k in range(n):
-        size += m[3 + 3 * n + k] * g[k]
     for a in range(3):
         r[a] -= m[a]
         for k in range(n):
@@ -53,16 +47,3 @@ def wheel_odometry(
             r[a] -= d * g[k]
             jg[a, k] = -d
     r[2] = wrap_scalar(r[2])
-    in_wheel_sizes(np.exp(-size), m[3 + 3 * n : 3 + 4 * n], r, ji, jj, jg)
-
-
-@compiled
-def in_wheel_sizes(shrink: float, c: Floats, r: Floats, ji: Floats, jj: Floats, jg: Floats) -> None:
-    """Multiply both components of a way and their derivatives by `shrink` = exp(-c·g)."""
-    for a in range(2):
-        r[a] *= shrink
-        for k in range(ji.shape[1]):
-            ji[a, k] *= shrink
-            jj[a, k] *= shrink
-        for k in range(c.size):
-            jg[a, k] = jg[a, k] * shrink - c[k] * r[a]

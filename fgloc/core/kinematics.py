@@ -196,21 +196,6 @@ class WheeledBase:
             jacobian[4 * wheel[target] + column, index[name]] = coefficient
         return jacobian
 
-    def size_gradient(self) -> Floats:
-        """Return (P,) derivatives of the logarithm of the wheels' size by the physical parameters.
-
-        The size is the mean over the driven wheels of how far each one moves the base a radian,
-        in proportion to nominal: its radius or, in a linear model, its way.
-        """
-        at, jacobian = self.primitives(), self.primitive_jacobian()
-        rows = []
-        for i in self.driven:
-            columns = [X, Y] if self.wheels[i].kind == "linear" else [RADIUS]
-            way = at[i, columns]
-            if way.any():
-                rows.append(way @ jacobian[[4 * i + c for c in columns]] / (way @ way))
-        return np.mean(rows, axis=0) if rows else np.zeros(len(self.parameters))
-
     def codes(self) -> tuple[Floats, Floats]:
         """Return (W,) wheel kinds as FIXED/ROLLER/PASSIVE numbers and (W,) roller angles."""
         kinds = np.array([KINDS.index(w.kind) for w in self.wheels], dtype=np.float64)

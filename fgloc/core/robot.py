@@ -34,6 +34,11 @@ class WheelNoise:
         check_noise("wheel noise", {}, asdict(self))
 
 
+def scaled(noise: WheelNoise, factor: float) -> WheelNoise:
+    """Return the noise with every sigma times `factor`."""
+    return WheelNoise(**{name: factor * sigma for name, sigma in asdict(noise).items()})
+
+
 def typical_noise(kind: str) -> WheelNoise:
     """Return the wheel noise to expect of a base of a kind, where nothing better is known.
 

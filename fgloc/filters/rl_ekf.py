@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from fgloc.core.drive import Drive
-from fgloc.core.geometry import compose, rotate_covariance
+from fgloc.core.evaluation import interpolate_trajectory
+from fgloc.core.geometry import compose, inverse, rotate_covariance
 from fgloc.core.measurements import (
     Acceleration,
     CameraPoses,
@@ -21,9 +24,10 @@ from fgloc.errors import FglocError
 from fgloc.estimator import Result, SensorCount, SensorResiduals
 from fgloc.filters.model1 import trim_note
 from fgloc.filters.pose_ekf import FARTHEST, ORIGIN_SIGMA
-from fgloc.filters.rl_inputs import Messages, bind, messages_of
-from fgloc.filters.rl_kernel import STATES, run_filter
+from fgloc.filters.rl_inputs import POSE, Messages, bind, messages_of
+from fgloc.filters.rl_kernel import STATES, X, Y, run_filter
 from fgloc.io.ekf_config import PLANAR, EkfConfig, EkfInput
+from fgloc.smoothing.initial import align, telling
 
 UNITS = ("m", "m", "rad", "m/s", "m/s", "rad/s", "m/s²", "m/s²")
 """Units of the states."""
@@ -78,9 +82,16 @@ class RlEkf:
         """
         trimmed = trim_to_truth(drive)
         config = self.settings if self.settings is not None else default_config(trimmed)
-        start = start_pose(trimmed)
+        start, placed = start_pose(trimmed), ""
         bindings = bind(config, trimmed)
         messages = [m for b in bindings for m in messages_of(b, trimmed, start)]
+        if drive.truth is None and any(m.absolute for m in messages):
+            found, placed = place(config, trimmed, messages)
+            if found is not None:
+                start = found
+                messages = [m for b in bindings for m in messages_of(b, trimmed, start)]
+            else:
+                messages = [m for m in messages if not m.absolute]
         if not any(m.stamps_ns.size for m in messages):
             said = "; ".join(str(b) for b in bindings)
             raise FglocError(f"rl-ekf: nothing that the configuration uses is there: {said}")
@@ -95,15 +106,52 @@ class RlEkf:
             tuple(name for name, count in counts.items() if count.accepted > 0),
             residuals=run.innovations(),
             counts=counts,
-            notes=(*notes, *trim_note(left_out)),
+            notes=(*notes, *filter(None, [placed]), *trim_note(left_out)),
         )
+
+
+def place(
+    config: EkfConfig, drive: Drive, messages: Sequence[Messages]
+) -> tuple[Floats | None, str]:
+    """Return the start in the map (3,) that the first fixes tell, None if they do not; and a note.
+
+    A node is given this from outside: the datum and heading of its transform of GPS. Here the path
+    without fixes is aligned with the first of them.
+    """
+    others = [m for m in messages if not m.absolute]
+    fixes = [m for m in messages if m.absolute and m.states[:2] == (X, Y)]
+    if others and fixes:
+        path = _Run(config, drive, others, np.zeros(3)).trajectory(drive.name)
+        for m in fixes:
+            poses, known = interpolate_trajectory(path, m.stamps_ns)
+            if m.states == POSE and known.any():
+                k = int(np.flatnonzero(known)[0])
+                start = compose(m.values[k], inverse(poses[k]))
+                return start, "no truth to start from: a fix told where the start is"
+        stamps = np.concatenate([m.stamps_ns for m in fixes])
+        order = np.argsort(stamps, kind="stable")
+        poses, known = interpolate_trajectory(path, stamps[order])
+        chosen = order[known]
+        read = np.concatenate([m.values[:, :2] for m in fixes])[chosen]
+        sigma = np.sqrt(np.concatenate([m.noises[:, 0, 0] for m in fixes]))[chosen]
+        arms = np.zeros((stamps.size, 3))
+        arms[:, :2] = np.concatenate([np.tile(m.lever, (m.stamps_ns.size, 1)) for m in fixes])
+        enough = telling(read, sigma) if chosen.size > 1 else 0
+        if enough:
+            points = compose(poses[known], arms[chosen])[:enough, :2]
+            start, _ = align(points, read[:enough])
+            return start, f"no truth to start from: {enough} fixes told where the start is"
+    return None, (
+        "no truth to start from, and the fixes do not tell the heading: they are not used, poses "
+        "are relative to the start"
+    )
 
 
 class _Run:
     """One pass of the filter over a drive's messages."""
 
     def __init__(
-        self, config: EkfConfig, drive: Drive, messages: list[Messages], start: Floats
+        self, config: EkfConfig, drive: Drive, messages: Sequence[Messages], start: Floats
     ) -> None:
         self._messages = messages
         self._start = start

@@ -29,6 +29,7 @@ Stream = Sensor | WheelIncrements
 ACCELERATION_SIGMA = 0.1
 """Sigma of an accelerometer [m/s²]; streams do not state theirs."""
 POSE = (X, Y, YAW)
+POSE_NAMES = tuple(PLANAR[state] for state in POSE)
 TWIST = (VX, VY, RATE)
 
 HELD: Mapping[str, tuple[str, ...]] = {
@@ -64,6 +65,8 @@ class Messages:
     """Mahalanobis distance from which on they are rejected."""
     lever: Floats = field(default_factory=lambda: np.zeros(2))
     """(2,) lever arm of a position [m], body axes."""
+    absolute: bool = False
+    """Positions in the map; differential and relative ones are not."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,9 @@ class Binding:
             return f"{who} has no stream on this drive"
         mode = " differential" * self.input.differential + " relative" * self.input.relative
         held = {s.sensor: self.held(s) for s in self.streams}
-        read = [f"{name}:{mode} {', '.join(what)}" for name, what in held.items() if what]
+        # Modes are of poses; a gyro and an accelerometer have none.
+        modes = {n: mode if any(f in POSE_NAMES for f in what) else "" for n, what in held.items()}
+        read = [f"{n}:{modes[n]} {', '.join(what)}" for n, what in held.items() if what]
         there = {flag for what in held.values() for flag in what}
         missing = [flag for flag in self.input.flags if flag not in there]
         parts = [f"reads {'; '.join(read)}"] if read else ["reads nothing"]
@@ -257,12 +262,15 @@ def _fixes(one: EkfInput, sensor: PoseFixes | PositionFixes, start: Floats) -> l
     d = sensor.sigma.shape[1]
     back = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])[:d, :d]
     noises = back @ (np.eye(d) * sensor.sigma[:, None, :] ** 2) @ back.T
+    states: tuple[int, ...] = POSE[:d]
     if isinstance(sensor, PoseFixes):
         base = compose(sensor.poses, inverse(np.array(sensor.mount)))
-        return _poses(one, sensor.sensor, sensor.stamps_ns, POSE, between(start, base), noises)
-    values = (sensor.positions - start[:2]) @ back.T
-    lever = np.array(sensor.mount)
-    return _poses(one, sensor.sensor, sensor.stamps_ns, (X, Y), values, noises, lever)
+        values, lever = between(start, base), np.zeros(2)
+    else:
+        values = (sensor.positions - start[:2]) @ back.T
+        lever = np.array(sensor.mount)
+    made = _poses(one, sensor.sensor, sensor.stamps_ns, states, values, noises, lever)
+    return [replace(m, absolute=not (one.differential or one.relative)) for m in made]
 
 
 def _poses(

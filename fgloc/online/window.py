@@ -56,7 +56,7 @@ class Window:
         self._dropped = 0
         self.tables: dict[tuple[str, Kind], LiveTable] = {}
         f = len(layout.free)
-        self.wheels = self.table(Kind.WHEEL, WHEELS, (3 + 4 * f, 3), slice(0, f), wheel_loss)
+        self.wheels = self.table(Kind.WHEEL, WHEELS, (3 + 3 * f, 3), slice(0, f), wheel_loss)
         # The calibration at which the wheels' displacements were integrated last.
         self._reference = np.zeros(n - layout.width)
         # The newest calibration: what the wheels predict for other sensors is taken there.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import statistics
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ from fgloc.estimator import SensorCount
 from fgloc.report.calibration_table import SINGLE, calibrations, far_from_prior
 from fgloc.report.cells import COLUMNS, END_COLUMNS, end_cells, new_table, score_cells, stacked
 from fgloc.report.outcomes import Comparison
+from fgloc.report.printing import plain, print_parts
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -18,39 +18,13 @@ if TYPE_CHECKING:
 
 
 def print_comparison(comparison: Comparison, console: Console | None = None) -> None:
-    """Print all tables of a comparison on stdout (or `console`).
-
-    On a terminal with rich's lines; in a pipe as plain columns without lines or cut numbers.
-    """
-    from rich.console import Console
-    from rich.measure import Measurement
-
-    console = Console() if console is None else console
-    if not console.is_terminal:
-        console.print(plain_text(comparison), end="", markup=False, highlight=False, soft_wrap=True)
-        return
-    for part in _parts(comparison, fancy=True):
-        if isinstance(part, str):
-            console.print(part, markup=False, highlight=False)
-            continue
-        wide = console.options.update(max_width=1000)
-        width = Measurement.get(console, wide, part).maximum
-        # Too narrow a terminal breaks lines, which is better than numbers that are cut short.
-        target = console
-        if width > console.width:
-            target = Console(file=console.file, width=width, force_terminal=True)
-        target.print(part, markup=False, highlight=False)
+    """Print all tables of a comparison on stdout (or `console`); see `print_parts`."""
+    print_parts(lambda fancy: _parts(comparison, fancy=fancy), console)
 
 
 def plain_text(comparison: Comparison) -> str:
     """Return what a pipe gets: columns set apart by spaces, no lines, nothing cut, no colours."""
-    from rich.console import Console
-
-    buffer = io.StringIO()
-    console = Console(file=buffer, width=1000, color_system=None, legacy_windows=False)
-    for part in _parts(comparison, fancy=False):
-        console.print(part, markup=False, highlight=False, soft_wrap=isinstance(part, str))
-    return "\n".join(line.rstrip() for line in buffer.getvalue().splitlines()) + "\n"
+    return plain(lambda fancy: _parts(comparison, fancy=fancy))
 
 
 def _parts(comparison: Comparison, *, fancy: bool) -> Iterator[RenderableType]:

@@ -152,7 +152,7 @@ def _drive(
     and measurements at the new calibration `at`; slips, from column `slot`, are in `states`.
     """
     b, f = step.shape[1], at.size
-    slips = (measurements.shape[1] - 3 - 4 * f) // 3 if slot >= 0 else 0
+    slips = (measurements.shape[1] - 3 - 3 * f) // 3 if slot >= 0 else 0
     left = np.empty(3)
     for k in range(residual.shape[0]):
         for a in range(3):
@@ -165,18 +165,12 @@ def _drive(
             for c in range(a):
                 v -= whitening[k, a, c] * left[c]
             left[a] = v / whitening[k, a, a]
-        size = 0.0
-        for c in range(f):
-            size += measurements[k, 3 + 3 * f + c] * at[c]
-        # The residual of the way is in wheel sizes.
-        left[0] *= np.exp(size)
-        left[1] *= np.exp(size)
         for a in range(3):
             left[a] += measurements[k, a]
             for c in range(f):
                 left[a] += measurements[k, 3 + a * f + c] * at[c]
             for c in range(slips):
-                left[a] += measurements[k, 3 + 4 * f + a * slips + c] * states[k + 1, slot + c]
+                left[a] += measurements[k, 3 + 3 * f + a * slips + c] * states[k + 1, slot + c]
         # Only the pose: a sensor's drifting zero, further on in the state, moves by its own step.
         compose_scalar(states[k], left, states[k + 1])
 

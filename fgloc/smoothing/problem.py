@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -92,12 +91,6 @@ class Problem:
         """Return the (G, G) covariance of the calibration prior in solver variables."""
         return prior_covariance(self.parameters)
 
-    @cached_property
-    def size_gradient(self) -> Floats:
-        """Return (F,) by how much the free parameters' solver variables make the wheels larger."""
-        scale = np.array([p.derivative(0.0) for p in self.parameters[: len(self.free)]])
-        return np.asarray(self.robot.base.size_gradient()[list(self.free)] * scale)
-
     def fix_keyframes(self) -> Stamps:
         """Return the sorted keyframe indices that have an absolute fix, the start included."""
         fixes = [t.first for t in self.tables if t.kind in FIXES]
@@ -175,14 +168,13 @@ class Problem:
         scale = np.array([self.parameters[k].derivative(float(u[k])) for k in range(f)])
         everything = f == pre.jacobian.shape[2]
         by_value = pre.jacobian if everything else pre.jacobian[:, :, list(self.free)]
-        rows = np.empty((n, 3 + 4 * f + 3 * slips))
+        rows = np.empty((n, 3 + 3 * (f + slips)))
         jacobian = rows[:, 3 : 3 + 3 * f].reshape(n, 3, f)  # a view: one axis is cut in two
         np.multiply(by_value, scale, out=jacobian)
         # The kernel predicts D + J u + E s; shift D so that it is exact at the present u and s.
         np.subtract(pre.displacement, jacobian @ u[:f], out=rows[:, :3])
-        rows[:, 3 + 3 * f : 3 + 4 * f] = self.size_gradient
         if slips:
-            rows[:, 3 + 4 * f :] = effect.reshape(n, -1)
+            rows[:, 3 + 3 * f :] = effect.reshape(n, -1)
             rows[:, :3] -= np.einsum("kaw,kw->ka", effect, at)
         return FactorTable(
             Kind.WHEEL_SLIP if slips else Kind.WHEEL,
@@ -236,7 +228,7 @@ def predicting(table: FactorTable, wheels: FactorTable, states: Floats, u: Float
     rows = table.measurements.copy()
     moved = predicted_displacement(wheels, u)
     if wheels.slot >= 0:
-        effect = wheels.measurements[:, 3 + 4 * wheels.calibration.stop :].reshape(*moved.shape, -1)
+        effect = wheels.measurements[:, 3 + 3 * wheels.calibration.stop :].reshape(*moved.shape, -1)
         slips = states[1:, wheels.slot : wheels.slot + effect.shape[2]]
         # Slips that are no more than noise would bring the noise of the poses in.
         clear = np.where(np.abs(slips) > SLIPPING, slips, 0.0)

@@ -299,6 +299,8 @@ def test_length_of_a_drive() -> None:
         ("figure-eight?duration=5", ("duration", "at least")),
         ("random?duration=9&keyframes=9", ("duration", "keyframes")),
         ("seed-a-spin-ideal?duration=5", ("duration", "nominal_track")),
+        ("seed-a-spin-ideal?yaw_drift=0", ("yaw_drift", "yaw_zero")),
+        ("seed-a-vehicle-spin?speed=1", ("speed", "wheel_noise", "yaw_drift")),
     ],
 )
 def test_errors_say_what_there_is(spec: str, words: tuple[str, ...]) -> None:

@@ -144,6 +144,25 @@ def test_noise_scenario() -> None:
     assert rest.yaw == pytest.approx(expected, abs=1e-12)
 
 
+def test_slip_with_noise_is_the_sum_of_both() -> None:
+    ideal, slip, noise, both = (
+        load_sim(f"seed-a-circle-{name}?seed=3")
+        for name in ("ideal", "slip20", "noise", "slip20noise")
+    )
+    added = counts(slip.wheels) + counts(noise.wheels) - counts(ideal.wheels)
+    assert counts(both.wheels) == pytest.approx(added, abs=1e-9)
+    assert np.array_equal(both.each(Yaw)[0].yaw, noise.each(Yaw)[0].yaw)
+    assert both.notes == slip.notes
+
+
+def test_zero_of_the_yaw_decides_when_its_first_step_comes() -> None:
+    # 0.01 rad in 7 s, rounded: the step is seen once drift and zero make 0.005 rad.
+    for zero, step_s in ((0.0, 3.5), (0.004, 0.7), (-0.004, 6.3)):
+        yaw = load_sim(f"seed-a-straight-noise?yaw_zero={zero}").each(Yaw)[0]
+        first = yaw.stamps_ns[np.argmax(yaw.yaw > 0.005)] * 1e-9
+        assert step_s <= first + 1e-9 < step_s + 0.2
+
+
 def test_noise_ends_are_of_the_size_that_table_3_1_prints() -> None:
     # Single draws in print: 0.013 and 0.003 m must be possible, not extreme. The spin's 0.016 m is
     # not: a packet's translation noise is METRES·0.288/2, so 50 packets end within about 3 mm.

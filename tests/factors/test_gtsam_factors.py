@@ -41,7 +41,7 @@ def table(
 
 
 ALL = slice(0, 0)
-WHEEL = table(Kind.WHEEL, 1, 3 + 12, 3, slice(0, 3))
+WHEEL = table(Kind.WHEEL, 1, 3 + 9, 3, slice(0, 3))
 FIX = table(Kind.POSITION_FIX, 2, 4, 2, slice(3, 5))
 SINGLE: dict[str, list[FactorTable]] = {
     "wheel": [WHEEL],

@@ -34,14 +34,9 @@ def pair(request: pytest.FixtureRequest) -> tuple[Floats, Floats]:
 def test_wheel_is_between_minus_the_displacement(pair: tuple[Floats, Floats]) -> None:
     xi, xj = pair
     d, j, g = np.array([0.3, -0.1, 0.2]), np.arange(6.0).reshape(3, 2) / 10, np.array([0.05, -0.2])
-    m = np.concatenate([d, j.ravel(), np.zeros(2)])
+    m = np.concatenate([d, j.ravel()])
     r = evaluate(Kind.WHEEL, xi, xj, g, m, -1)[0]
     same_pose(r + d + j @ g, pose2(xi).between(pose2(xj)))
-    # Wheels twice as large make half of the way's residual, and none less of the heading's.
-    larger = np.concatenate([d, j.ravel(), [math.log(2.0) / 0.05, 0.0]])
-    np.testing.assert_allclose(
-        evaluate(Kind.WHEEL, xi, xj, g, larger, -1)[0], r * [0.5, 0.5, 1.0], atol=1e-12
-    )
     assert -math.pi <= r[2] < math.pi
 
 

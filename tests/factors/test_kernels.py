@@ -36,8 +36,8 @@ DIAGONAL = np.array([0.6, -0.8])
 # Calibration and measurement sizes of each kernel, with and without what it can do without.
 CASES: list[tuple[Kind, int, int, int]] = [
     (Kind.WHEEL, -1, 0, 3),
-    (Kind.WHEEL, -1, 3, 15),
-    (Kind.WHEEL, 3, 5, 23),
+    (Kind.WHEEL, -1, 3, 12),
+    (Kind.WHEEL, 3, 5, 18),
     (Kind.YAW, -1, 1, 2),
     (Kind.YAW, -1, 2, 2),
     (Kind.YAW, 3, 0, 2),
@@ -62,7 +62,7 @@ CASES: list[tuple[Kind, int, int, int]] = [
     (Kind.ZERO_VELOCITY, -1, 0, 1),
     (Kind.ZERO_VELOCITY, 3, 0, 1),
     (Kind.WHEEL_SLIP, 3, 0, 9),
-    (Kind.WHEEL_SLIP, 3, 4, 25),
+    (Kind.WHEEL_SLIP, 3, 4, 21),
     (Kind.SLIP_PRIOR, 4, 0, 1),
     (Kind.SLIP_SIDE, 4, 0, 1),
     (Kind.SLIP_WALK, 4, 0, 1),

@@ -11,6 +11,7 @@ import pytest
 from fgloc.core import bases
 from fgloc.core.drive import Drive, Reference
 from fgloc.core.evaluation import evaluate
+from fgloc.core.geometry import compose
 from fgloc.core.measurements import (
     Acceleration,
     CameraPoses,
@@ -260,3 +261,34 @@ def test_a_matrix_that_is_no_covariance_is_refused() -> None:
         EkfConfig((), process_noise=diagonal((-1.0, *[1.0] * 7)))
     with pytest.raises(FglocError, match="frequency must be positive"):
         EkfConfig((), frequency=0.0)
+
+
+def test_without_a_truth_the_first_fixes_place_the_start() -> None:
+    drive = load_sim("random?fix_every=3&fix_sigma=0.02&seed=4&robot=differential")
+    assert drive.truth is not None
+    # The start is not the origin, and a heading of its own.
+    frame = np.array([5.0, -2.0, 2.0])
+    (fixes,) = drive.each(PositionFixes)
+    moved = compose(frame, np.column_stack([fixes.positions, np.zeros(len(fixes.positions))]))
+    fixes = replace(fixes, positions=moved[:, :2])
+    others = tuple(s for s in drive.sensors if not isinstance(s, PositionFixes))
+    result = RlEkf().estimate(replace(drive, truth=None, sensors=(*others, fixes)))
+    assert result.notes == ("no truth to start from: 3 fixes told where the start is",)
+    truth = Trajectory(
+        drive.truth.trajectory.stamps_ns, compose(frame, drive.truth.trajectory.poses)
+    )
+    assert evaluate(result.trajectory, Reference(truth)).ate_rmse_m < 0.2
+    # One pose is enough.
+    k = 40
+    one = PoseFixes(
+        "map", truth.stamps_ns[k : k + 1], truth.poses[k : k + 1], np.full((1, 3), 0.01)
+    )
+    result = RlEkf().estimate(replace(drive, truth=None, sensors=(*others, one)))
+    assert result.notes == ("no truth to start from: a fix told where the start is",)
+    np.testing.assert_allclose(result.trajectory.poses[0], frame, atol=0.1)
+    # Fixes too coarse to tell a heading are left alone.
+    coarse = replace(fixes, sigma=np.full_like(fixes.sigma, 100.0))
+    result = RlEkf().estimate(replace(drive, truth=None, sensors=(*others, coarse)))
+    assert "do not tell the heading" in result.notes[0]
+    assert "fixes" not in result.sensors_used
+    np.testing.assert_array_equal(result.trajectory.poses[0], np.zeros(3))

@@ -68,7 +68,7 @@ class Chain:
         jacobian = np.array([[0.05, 0.05, 0.0], [0.0, 0.0, 0.0], [-0.2, 0.2, -motion[2]]])
         self.truth.append(compose(self.truth[-1], motion))
         measured = motion - jacobian @ self.u + self.rng.normal(size=3) * WHEEL_SIGMA
-        row = np.concatenate([measured, jacobian.ravel(), np.zeros(3)])[None]
+        row = np.concatenate([measured, jacobian.ravel()])[None]
         root = np.diag(1 / WHEEL_SIGMA)[None]
         return FactorTable(
             Kind.WHEEL, "wheels", np.array([k - 1]), row, root, slice(0, 3)
