@@ -19,8 +19,8 @@ The lowest mean is not taken, but of all points that cannot be told from it the 
 defaults: those whose mean over the training drives is higher by no more than one standard error of
 the difference, drive by drive (the one-standard-error rule of Breiman et al., Classification and
 Regression Trees, 1984). Ten drives with their own biases and slips are easily fitted too well: the
-plain minimum was at times worse than the defaults on other drives. A point worse than the defaults on
-the training drives is never taken.
+plain minimum was at times worse than the defaults on other drives. A point worse than the defaults
+on the training drives is never taken.
 
 It is deterministic: the same drives, budget and seed give the same values. One search runs in one
 process; several (a method each) may run beside each other, for everything that goes in and comes
