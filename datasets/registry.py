@@ -27,6 +27,8 @@ from fgloc.io.topics import TopicMap, load_topics
 
 SIMULATED = "sim"
 """Prefix of drives that are made, not read: `sim:NAME?seed=1&key=value`."""
+SEMI_REAL = "semi"
+"""Prefix of recorded drives with a synthesised camera and gyro: `semi:DRIVE?seed=1`."""
 
 
 def cache_folder() -> Path:
@@ -51,7 +53,9 @@ def dataset(name: str) -> Dataset:
         return DATASETS[name]
     if name == SIMULATED:
         raise FglocError("sim drives are made on the spot, there is nothing to fetch; use sim:NAME")
-    known = [*DATASETS, SIMULATED]
+    if name == SEMI_REAL:
+        raise FglocError("semi: goes before a drive's own id; fetch the data set that it is of")
+    known = [*DATASETS, SIMULATED, SEMI_REAL]
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]}? " if near else ""
     raise FglocError(f"no dataset is called {name!r}; {hint}known are {', '.join(known)}")
@@ -84,7 +88,7 @@ def list_drives(name: str, data: Path | None = None) -> list[str]:
 def is_dataset_id(drive_id: str) -> bool:
     """Return True if this reads as `dataset:run` rather than as a path."""
     head, colon, _ = drive_id.partition(":")
-    if head in DATASETS or head == SIMULATED:
+    if head in DATASETS or head in (SIMULATED, SEMI_REAL):
         return not (head == drive_id and Path(drive_id).exists())
     return bool(colon) and bool(re.fullmatch(r"\w[\w-]+", head)) and not Path(drive_id).exists()
 
@@ -96,6 +100,11 @@ def expand(drive_ids: Sequence[str], data: Path | None = None) -> list[str]:
     """
     found: list[str] = []
     for drive_id in drive_ids:
+        semi = _semi_real(drive_id)
+        if semi is not None:
+            inner, query = semi
+            found += [f"{SEMI_REAL}:{one}{query and '?'}{query}" for one in expand([inner], data)]
+            continue
         name, _, run = drive_id.partition(":")
         pattern = "*" if run == "all" else run
         if not is_dataset_id(drive_id) or name == SIMULATED or not re.search(r"[*?\[]", pattern):
@@ -114,10 +123,12 @@ def load_drive(
 ) -> Drive:
     """Return the drive a user named: a path, `dataset:run` or `sim:NAME?seed=1&key=value`.
 
-    `data` is searched before $FGLOC_DATA and the user's cache; `topics` is the topic map of a ROS
-    bag, or the file it is in. Raises FglocError for an unknown dataset or run, a dataset that is
-    not here, a missing file, content that cannot be read, a topic map for what is no bag, or
-    measurements in an obviously wrong unit (see `fgloc.datasets.plausible`).
+    `semi:` before a recorded drive, and `?seed=1` behind it, adds a synthesised camera and gyro
+    (`fgloc.datasets.simulator.semi_real`). `data` is searched before $FGLOC_DATA and the user's
+    cache; `topics` is the topic map of a ROS bag, or the file it is in. Raises FglocError for an
+    unknown dataset or run, a dataset that is not here, a missing file, content that cannot be read,
+    a topic map for what is no bag, a semi-real drive without a truth, or measurements in an
+    obviously wrong unit (see `fgloc.datasets.plausible`).
     """
     return load_with_topics(drive_id, data, topics)[0]
 
@@ -127,6 +138,14 @@ def load_with_topics(
 ) -> tuple[Drive, TopicMap | None]:
     """Return what `load_drive` does, and the topic map as it was used; None for what is no bag."""
     given = load_topics(topics) if isinstance(topics, Path) else topics
+    semi = _semi_real(drive_id)
+    if semi is not None:
+        from fgloc.datasets.simulator.semi_real import parse, with_semi_real
+
+        inner, query = semi
+        spec = parse(query)
+        drive, used = load_with_topics(inner, data, given)
+        return with_semi_real(drive, spec, drive_id), used
     name, _, run = drive_id.partition(":")
     if is_dataset_id(drive_id) and name == SIMULATED:
         if given is not None:
@@ -140,6 +159,20 @@ def load_with_topics(
         raise _no_bag(drive_id)
     check_plausible(drive)
     return drive, used
+
+
+def _semi_real(drive_id: str) -> tuple[str, str] | None:
+    """Return the recorded drive and the query of `semi:DRIVE?query`; None for any other id."""
+    head, _, rest = drive_id.partition(":")
+    if head != SEMI_REAL or not is_dataset_id(drive_id):
+        return None
+    # A question mark may also be part of a pattern over runs; a query has an equals sign.
+    inner, mark, query = rest.rpartition("?")
+    if not mark or "=" not in query:
+        inner, query = rest, ""
+    if not inner:
+        raise FglocError(f"{drive_id} lacks a drive; write it like semi:vitko-swerve:1?seed=1")
+    return inner, query
 
 
 def _no_bag(drive_id: str) -> FglocError:

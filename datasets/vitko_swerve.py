@@ -41,6 +41,12 @@ RADIUS = 0.0254
 """Nominal wheel radius [m]."""
 SKIPPED = 29
 """First samples of the motion capture that the publication leaves out."""
+LATE_S = 0.015
+"""A frame so much later than usual [s] does not tell when it was taken."""
+ROUNDS = 8
+"""Rounds of leaving out late frames."""
+FRAME = ".header.seq"
+"""Column that numbers the frames of the motion capture."""
 HOLD_NS = 50_000_000
 """How far the wheel signals are held beyond their ends; beyond that there is no odometry."""
 
@@ -69,8 +75,9 @@ def load(folder: Path, run: str, name: str) -> Drive:
     """
     rejected: Counter[str] = Counter()
     stamps, steering, rates = _read_odometry(folder / f"odom_{run}.csv", rejected)
-    truth_stamps, poses = _read_truth(folder / f"abs_{run}.csv", rejected)
+    truth_stamps, poses, frames = _read_truth(folder / f"abs_{run}.csv", rejected)
     truth_stamps, poses = truth_stamps[SKIPPED:], poses[SKIPPED:]
+    taken = None if frames is None else frame_times(truth_stamps, frames[SKIPPED:])
     inside = (truth_stamps >= stamps[0] - HOLD_NS) & (truth_stamps <= stamps[-1] + HOLD_NS)
     boundaries = truth_stamps[inside]
     if boundaries.size < 2:
@@ -86,7 +93,9 @@ def load(folder: Path, run: str, name: str) -> Drive:
         tuple(WHEELS),
         steering=_interpolate(boundaries, stamps, steering)[:-1],
     )
-    truth = Reference(Trajectory(truth_stamps, poses), "optitrack", (2e-4, 2e-4, 2e-3))
+    truth = Reference(
+        Trajectory(truth_stamps, poses), "optitrack", (2e-4, 2e-4, 2e-3), taken_ns=taken
+    )
     motion = (int(run) - 1) // REPETITIONS
     return Drive(
         name,
@@ -103,6 +112,28 @@ def load(folder: Path, run: str, name: str) -> Drive:
     )
 
 
+def frame_times(stamps: Stamps, frames: Stamps) -> Stamps | None:
+    """Return when frames of a steady camera system were taken, up to a constant delay; or None.
+
+    Messages arrive within 10 ms of a steady rate, some up to 0.2 s late; frames numbered (N,) tell
+    which. A line through the stamps (N,) by frame, those more than `LATE_S` off left out, is when
+    they would have arrived without that. None where frames do not count up or nothing is steady.
+    """
+    if frames.size < 3 or not bool(np.all(np.diff(frames) > 0)):
+        return None
+    count = (frames - frames[0]).astype(np.float64)
+    late = (stamps - stamps[0]) * 1e-9
+    used = np.ones(count.size, dtype=np.bool_)
+    line = np.zeros(2)
+    for _ in range(ROUNDS):
+        line = np.polyfit(count[used], late[used], 1)
+        off = late - np.polyval(line, count)
+        used = np.abs(off - np.median(off)) < LATE_S
+        if used.sum() < 0.5 * count.size:
+            return None
+    return np.asarray(stamps[0] + np.round(np.polyval(line, count) * 1e9).astype(np.int64))
+
+
 def _interpolate(at: Stamps, stamps: Stamps, values: Floats) -> Floats:
     """Return (M, W) values interpolated linearly at `at`, held at both ends."""
     origin = stamps[0]
@@ -112,8 +143,9 @@ def _interpolate(at: Stamps, stamps: Stamps, values: Floats) -> Floats:
 
 def _fields(
     file: Path, rejected: Counter[str], columns: tuple[str, ...]
-) -> tuple[list[list[str]], list[int], Integers]:
-    """Return all fields of a semicolon file, the indices of the `columns`, the line numbers."""
+) -> tuple[list[list[str]], list[int], Integers, list[str]]:
+    """Return all fields of a semicolon file, the indices of the `columns`, the line numbers and
+    the names of all columns."""
     lines = read_lines(file)
     header = (lines.text[0] if lines.text else lines.rest).split(";")
     missing = [c for c in columns if c not in header]
@@ -129,7 +161,7 @@ def _fields(
     )
     if len(fields) < 2:
         raise FglocError("no samples in this file; download it again", file=file)
-    return fields, [header.index(c) for c in columns], numbers
+    return fields, [header.index(c) for c in columns], numbers, header
 
 
 def _wall_time(fields: list[list[str]], column: int, numbers: Integers, file: Path) -> Stamps:
@@ -166,7 +198,7 @@ def _joint_order(names: str, suffix: str, file: Path, line: int) -> list[int]:
 def _read_odometry(file: Path, rejected: Counter[str]) -> tuple[Stamps, Floats, Floats]:
     """Return stamps (N,), steering angles [rad] and wheel rates [rad/s] (N, 4) as in WHEELS."""
     columns = ("time", ".name", ".position", ".velocity")
-    fields, (time, name, position, velocity), numbers = _fields(file, rejected, columns)
+    fields, (time, name, position, velocity), numbers, _ = _fields(file, rejected, columns)
     stamps = _wall_time(fields, time, numbers, file)
     names = np.array([row[name] for row in fields])
     both = np.empty((2, stamps.size, len(WHEELS)))
@@ -188,17 +220,20 @@ def _read_odometry(file: Path, rejected: Counter[str]) -> tuple[Stamps, Floats, 
     return stamps[keep], both[0, keep], both[1, keep]
 
 
-def _read_truth(file: Path, rejected: Counter[str]) -> tuple[Stamps, Floats]:
-    """Return stamps (N,) and poses (N, 3) of the motion capture, the heading unwrapped."""
+def _read_truth(file: Path, rejected: Counter[str]) -> tuple[Stamps, Floats, Stamps | None]:
+    """Return stamps (N,), poses (N, 3) of the motion capture, the heading unwrapped, and (N,) frame
+    numbers; None for these where the file does not number its frames."""
     quaternion = tuple(f".pose.orientation.{a}" for a in "xyzw")
     columns = ("time", ".pose.position.x", ".pose.position.y", *quaternion)
-    fields, (time, *wanted), numbers = _fields(file, rejected, columns)
+    fields, (time, *wanted), numbers, header = _fields(file, rejected, columns)
+    wanted += [header.index(FRAME)] if FRAME in header else []
     texts = [";".join([row[c] for c in wanted]) for row in fields]
-    table = parse_rows(texts, numbers, file, widths=(6,), separator=";", rejected=None)
-    stamps, values = _wall_time(fields, time, numbers, file), table.columns(6)
+    table = parse_rows(texts, numbers, file, widths=(len(wanted),), separator=";", rejected=None)
+    stamps, values = _wall_time(fields, time, numbers, file), table.columns(len(wanted))
     good = finite_rows(values, rejected)
     stamps, values = stamps[good], values[good]
     keep = forward_stamps(stamps, rejected)
-    x, y, qx, qy, qz, qw = values[keep].T
+    x, y, qx, qy, qz, qw = values[keep, :6].T
     heading = np.unwrap(np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz)))
-    return stamps[keep], np.stack([x, y, heading], axis=1)
+    frames = values[keep, 6].astype(np.int64) if len(wanted) > 6 else None
+    return stamps[keep], np.stack([x, y, heading], axis=1), frames

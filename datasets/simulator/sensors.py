@@ -121,16 +121,21 @@ def measure_yaw(course: Course, model: YawModel, rng: np.random.Generator) -> Ya
     return Yaw("yaw", stamps, yaw, max(sigma, 1e-3), model.walk, model.resolution, drift)
 
 
-def measure_gyro(course: Course, model: GyroModel, rng: np.random.Generator) -> YawRate:
+def measure_gyro(
+    course: Course, model: GyroModel, rng: np.random.Generator, bias: float | None = None
+) -> YawRate:
     """Return the gyro's yaw rate: truth plus bias, its random walk and white noise.
 
     The truth is averaged over the sample period around the stamp, as the sensor's filter does.
+    `bias` is the constant part [rad/s]; drawn, and within `CUT` sigmas, if None.
     """
     stamps = course.stamps(model.rate)
     stamps = stamps[keep(stamps.size, model.dropout, rng)]
     before, after = _around(course, stamps, model.rate)
     turned = course.poses_at(after)[:, 2] - course.poses_at(before)[:, 2]
-    rate = turned / ((after - before) * 1e-9) + model.bias_sigma * cut_normal(rng, 1)
+    if bias is None:
+        bias = model.bias_sigma * float(cut_normal(rng, 1)[0])
+    rate = turned / ((after - before) * 1e-9) + bias
     rate += _walk(stamps, model.bias_walk, rng)
     rate += model.density * np.sqrt(model.rate) * rng.standard_normal(stamps.size)
     quantised = _quantised(rate, model.resolution)
@@ -157,14 +162,15 @@ def measure_acceleration(
 
 
 def measure_camera(
-    course: Course, model: CameraModel, rng: np.random.Generator
+    course: Course, model: CameraModel, rng: np.random.Generator, off: Floats | None = None
 ) -> tuple[CameraPoses, dict[str, float]]:
     """Return the camera's odometry and its true mount and scale by parameter name.
 
     Steps between poses are scaled, disturbed in proportion to the square root of the distance,
-    and chained; each pose then has white noise of its own.
+    and chained; each pose then has white noise of its own. `off` (4,) are the errors of mount
+    (x, y, yaw) and scale in sigmas; drawn, and within `CUT`, if None.
     """
-    drawn = cut_normal(rng, 4)
+    drawn = cut_normal(rng, 4) if off is None else off
     nominal = (model.x, model.y, model.yaw)
     spread = (model.mount_sigma, model.mount_sigma, model.yaw_sigma)
     mount = np.array(nominal) + np.array(spread) * drawn[:3]

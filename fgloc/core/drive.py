@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from fgloc.core.checks import check_mount, check_noise
-from fgloc.core.measurements import Sensor, WheelIncrements
+from fgloc.core.checks import check_arrays, check_mount, check_noise
+from fgloc.core.measurements import Sensor, Stamps, WheelIncrements
 from fgloc.core.robot import Robot
 from fgloc.core.trajectory import Trajectory
 from fgloc.errors import FglocError
@@ -29,8 +29,16 @@ class Reference:
     """Nominal pose of the reference's frame on the robot: x, y [m], yaw [rad]."""
     mount_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Prior standard deviations of the mount [m, m, rad]; 0 means known exactly."""
+    taken_ns: Stamps | None = None
+    """(N,) when the poses were taken, where the recording knows that better than its stamps tell:
+    a motion capture that counts its frames, while its messages come late. None: at their stamps.
+    For those who make sensors of a truth; estimates are scored at the stamps."""
 
     def __post_init__(self) -> None:
+        if self.taken_ns is not None:
+            check_arrays(self.sensor, self.taken_ns, {}, len(self.trajectory))
+            if self.taken_ns.size != len(self.trajectory):
+                raise FglocError(f"{self.sensor}: there must be one time a pose was taken for each")
         # The estimators' start is tied to the truth with these sigmas.
         check_noise(
             self.sensor,
