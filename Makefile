@@ -14,7 +14,7 @@ endif
 .PHONY: help demo test lint bench install clean
 
 help:
-	@echo "make demo     simulate a drive, run four methods on it, draw figures"
+	@echo "make demo     simulate a drive, run six methods on it, draw figures"
 	@echo "make test     run the tests"
 	@echo "make lint     check style and types"
 	@echo "make bench    time both engines and Model 3 beside other libraries' (a quarter of an hour)"
@@ -22,7 +22,7 @@ help:
 	@echo "make clean    remove .venv, caches and the demo's results"
 
 demo: $(INSTALLED)
-	$(BIN)/fgloc compare sim:demo --methods model1,model2,batch,online --out runs/demo
+	$(BIN)/fgloc compare sim:demo --methods model1,model2,model3,pose-ekf,batch,online --out runs/demo
 	@echo "Figures, trajectories and settings: $(CURDIR)/runs/demo/latest"
 
 test: $(INSTALLED)

@@ -13,7 +13,7 @@ from fgloc.cli import main
 README = Path(__file__).parent.parent / "README.md"
 BLOCKS: list[str] = re.findall(r"```\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
 EXAMPLES = [b for b in BLOCKS if b.startswith("$ fgloc")]
-DEMO = "compare sim:demo --methods model1,model2,batch,online"
+DEMO = "compare sim:demo --methods model1,model2,model3,pose-ekf,batch,online"
 """What `make demo` runs."""
 
 
@@ -36,7 +36,7 @@ def test_the_demo_prints_the_table(
     monkeypatch.chdir(tmp_path)
     (table,) = (b for b in BLOCKS if "model1" in b and not b.startswith("$"))
     output = printed([DEMO], capsys)
-    assert len(shown(table)) == 6
+    assert len(shown(table)) == 8
     assert [line for line in shown(table) if line not in output] == []
 
 
