@@ -15,11 +15,12 @@ from pathlib import Path
 
 import pytest
 
-from fgloc import cli
-from fgloc.cli import build_parser, main
+from fgloc import usage
+from fgloc.cli import main
 from fgloc.core.geometry import INTEGRATORS
 from fgloc.errors import FglocError
 from fgloc.experiments.methods import available
+from fgloc.usage import build_parser
 
 ROOT = Path(__file__).resolve().parent.parent
 Handler = Callable[[argparse.Namespace], int]
@@ -103,31 +104,31 @@ def test_wrong_usage_exits_2(arguments: list[str], capsys: pytest.CaptureFixture
 
 def test_option_names_are_attribute_names() -> None:
     line = "compare a b --methods batch --fixes 10:0.002 --seed 7 --integrator euler --robot r.toml"
-    args = cli.build_parser().parse_args(line.split())
+    args = build_parser().parse_args(line.split())
     assert (args.command, args.drives, args.methods) == ("compare", ["a", "b"], "batch")
     assert (args.fixes, args.seed, args.integrator) == ("10:0.002", 7, "euler")
     assert args.robot == Path("r.toml")
     assert args.data is args.json is args.out is None
     assert args.debug is False
-    args = cli.build_parser().parse_args(
+    args = build_parser().parse_args(
         ["--debug", "datasets", "convert", "d", "f.npz", "--data", "x"]
     )
     assert (args.datasets_command, args.drive, args.file) == ("convert", "d", Path("f.npz"))
     assert args.data == Path("x")
     assert args.debug is True
-    assert cli.build_parser().parse_args(["smooth", "a", "--debug"]).debug is True
+    assert build_parser().parse_args(["smooth", "a", "--debug"]).debug is True
 
 
 @pytest.mark.parametrize("command", ["smooth", "localise", "compare"])
 def test_encoder_selection_is_an_option_of_every_estimate(command: str) -> None:
-    parser = cli.build_parser()
+    parser = build_parser()
     assert parser.parse_args([command, "a"]).encoder_selection is False
     assert parser.parse_args([command, "a", "--encoder-selection"]).encoder_selection is True
 
 
 def test_copies_of_names_agree_with_their_source() -> None:
-    assert ",".join(available()) == cli.METHODS
-    assert INTEGRATORS == cli.INTEGRATORS
+    assert ",".join(available()) == usage.METHODS
+    assert INTEGRATORS == usage.INTEGRATORS
 
 
 def test_status_of_the_handler_is_returned(handler: Callable[[Handler], None]) -> None:
