@@ -94,9 +94,9 @@ TABLE_3_4_SLIP = (
     "Model 1 in Table 3.2 follow from 20 %, so the two tables have different slip."
 )
 TABLE_3_4_CIRCLE = (
-    "40 counts more per packet give 0.399 m and 3.53 %; straight run and spin agree to the last "
-    "digit. The rest, 3 mm, is not explained: a step along the new yaw gives 0.417 m, no number of "
-    "whole counts gives all three."
+    "40 counts more in 10 packets on the left and 5 on the right (3 s < t ≤ 5 s and 4 s < t ≤ 5 s) "
+    "give 0.399 m. The printed 0.402 m follows from 9 and 6 packets (3 s < t < 5 s and 4 s ≤ t ≤ "
+    "5 s; the last row), which changes the other two cases by less than their last digit."
 )
 TABLE_3_5_STRAIGHT = (
     "The printed 0.0004 m and 0.1 % contradict each other: 0.1 % of 4.524 m is 0.0045 m. Neither "

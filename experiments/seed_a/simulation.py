@@ -51,6 +51,7 @@ SCENARIOS = (
     Scenario("ideal", "seed-a-{case}-ideal"),
     Scenario("slip20", "seed-a-{case}-slip20"),
     Scenario("slip40ticks", "seed-a-{case}-slip40ticks"),
+    Scenario("slip40ticks96", "seed-a-{case}-slip40ticks96"),
     Scenario("bothleft", "seed-a-{case}-bothleft"),
     Scenario("allwheels", "seed-a-{case}-allwheels"),
     Scenario("bothleft-camera", "seed-a-{case}-bothleft", "camera=on", seeds=10),
@@ -189,7 +190,11 @@ def _tables(
     everyone = _beside(entrants(*EVERYONE), tuned)
     yield ideal_table()
     for printed in TABLES:
-        keys = ("slip20", "slip40ticks") if printed.scenario == "slip" else ("noise",)
+        keys: tuple[str, ...] = ("noise",)
+        if printed.scenario == "slip":
+            keys = ("slip20", "slip40ticks")
+        if printed.id == "table-3.4":
+            keys = ("slip20", "slip40ticks", "slip40ticks96")
         who = _beside(entrants(printed.method, "batch", "online"), tuned)
         yield printed_table(printed, [scenarios[k] for k in keys], who, ends)
     title = "Scenario 1: no noise, no slip"

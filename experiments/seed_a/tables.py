@@ -24,7 +24,11 @@ from fgloc.report.experiment_report import Cell, Column, Distribution, Row, Tabl
 
 DECIMALS = {POSITION: 3, RELATIVE: 2, HEADING: 1, TURN: 2, TRACK: 3}
 """Digits of numbers that are not printed by the seed; others have as many as the printed one."""
-SLIPS = {"slip20": "20 %", "slip40ticks": "+40 counts"}
+SLIPS = {
+    "slip20": "20 %",
+    "slip40ticks": "+40 counts",
+    "slip40ticks96": "+40 counts, 9 and 6 packets",
+}
 """Scenarios of slip and how they are called."""
 WHAT = {
     "noise": "noise of encoders and yaw",
@@ -120,12 +124,12 @@ def _explanation(printed: Printed, scenario: Scenario, case: str, quantity: str)
     The text describes a slip of 20 %; 40 counts are compared with Table 3.4 only, which follows
     from them.
     """
-    if scenario.key == "slip40ticks":
-        if printed.id != "table-3.4":
-            return None
-        return TABLE_3_4_CIRCLE if case == "circle" else ""
     if printed.id == "table-3.4":
-        return TABLE_3_4_SLIP
+        if scenario.key == "slip20":
+            return TABLE_3_4_SLIP
+        return TABLE_3_4_CIRCLE if (case, scenario.key) == ("circle", "slip40ticks") else ""
+    if scenario.key in SLIPS and scenario.key != "slip20":
+        return None
     return printed.explanations.get((case, quantity), "")
 
 

@@ -91,7 +91,9 @@ def _deliver(args: argparse.Namespace, experiment: Experiment, report: Report) -
             }
             with ProgressLines("drawing") as progress:
                 folder = write_experiment(experiment.id, report, args.out, arguments, progress.step)
-            written.append(f"Report and {len(report.figures)} figures: {folder}/report.html")
+            number = len(report.figures)
+            figures = f"{number} figure{'s' * (number != 1)}"
+            written.append(f"Report and {figures}: {folder}/report.html")
     finally:
         print_report(report)
     if written:

@@ -107,7 +107,7 @@ def plot_draws(rows: Sequence[Sequence[Draws]], unit: str, title: str, path: Pat
         axes.set_xlabel(f"error at the end [{unit}]")
     figure.suptitle(title)
     if any(p.published is not None for r in rows for p in r):
-        grid[0, 0].plot([], [], color=PUBLISHED, lw=2.2, label="published draw")
+        grid[0, 0].plot([], [], color=PUBLISHED, lw=2.2, label="published")
         figure.legend(loc="outside lower center", frameon=False)
     return save(figure, path)
 

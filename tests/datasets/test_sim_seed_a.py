@@ -108,6 +108,10 @@ def test_model1_table_3_2(case: str, metres: float, degrees: float) -> None:
         ("slip40ticks", "straight", 0.424),
         ("slip40ticks", "spin", 0.128),
         ("slip40ticks", "circle", 0.399),
+        # All three as Table 3.4 prints them.
+        ("slip40ticks96", "straight", 0.424),
+        ("slip40ticks96", "spin", 0.128),
+        ("slip40ticks96", "circle", 0.402),
     ],
 )
 def test_model2_with_slip(scenario: str, case: str, metres: float) -> None:
@@ -142,6 +146,17 @@ def test_noise_scenario() -> None:
     # Straight ahead the yaw is its drift alone, 0.01 rad every 7 s, rounded: 0 until 3.5 s.
     expected = np.round(rest.stamps_ns * 1e-9 / 7.0) * 0.01
     assert rest.yaw == pytest.approx(expected, abs=1e-12)
+
+
+def test_slip_in_nine_and_six_packets() -> None:
+    ideal = counts(load_sim("seed-a-straight-ideal").wheels)
+    found = counts(load_sim("seed-a-straight-slip40ticks96").wheels) - ideal
+    ends = np.arange(1, 51) * 0.2
+    expected = np.zeros((50, 4))
+    expected[(ends > 3.1) & (ends < 4.9), 0] = 40.0
+    expected[(ends > 3.9) & (ends < 5.1), 3] = 40.0
+    assert found == pytest.approx(expected, abs=1e-9)
+    assert (expected > 0.0).sum(axis=0).tolist() == [9, 0, 0, 6]
 
 
 def test_slip_with_noise_is_the_sum_of_both() -> None:

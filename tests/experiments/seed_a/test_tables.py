@@ -77,6 +77,11 @@ def test_model2_with_slip_follows_from_40_counts_and_not_from_20_percent(slip: E
     for labels, verdict in judged(found).items():
         follows = labels[1] == "+40 counts" and labels[0] != "circle"
         assert verdict == (Verdict.REPRODUCED if follows else Verdict.EXPLAINED), labels
+    # The circle as well, where the wheels slip in 9 and 6 packets and not in 10 and 5.
+    nine = Scenario("slip40ticks96", "seed-a-{case}-slip40ticks96")
+    verdicts = judged(table("3.4", ends_of(nine), nine))
+    assert len(verdicts) == 6
+    assert set(verdicts.values()) == {Verdict.REPRODUCED}
 
 
 def test_model3_with_slip(slip: Ends) -> None:
