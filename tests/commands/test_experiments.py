@@ -99,3 +99,24 @@ def test_a_place_that_cannot_be_written_is_known_before_the_work(
 
 def test_every_experiment_has_the_name_it_is_registered_under() -> None:
     assert [e.id for e in registry.every()] == list(registry.MODULES)
+
+
+def test_every_experiment_is_documented() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "experiments.md").read_text(encoding="utf-8")
+    for name in registry.MODULES:
+        assert f"\n## {name}\n" in text
+
+
+def test_an_interrupt_leaves_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(context: Context) -> Report:
+        raise KeyboardInterrupt
+
+    broken = Experiment("small", "", (), interrupted)
+    monkeypatch.setattr("fgloc.commands.experiments.find", lambda name: broken)
+    out, numbers = tmp_path / "runs", tmp_path / "n.json"
+    arguments = ["experiments", "run", "small", "--out", str(out), "--json", str(numbers)]
+    assert main(arguments) == 130
+    assert capsys.readouterr().err.splitlines()[-1] == "fgloc: interrupted"
+    assert list(tmp_path.iterdir()) == []
