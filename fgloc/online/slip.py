@@ -18,7 +18,6 @@ from fgloc.factors.tables import FactorTable, Kind, linearise
 from fgloc.online.priors import carried_prior
 from fgloc.online.settings import OnlineSettings
 from fgloc.online.smoother import WindowSmoother
-from fgloc.online.trust import stretch
 from fgloc.online.window import GUESSED
 from fgloc.smoothing.arrow import solve
 from fgloc.smoothing.minimise import CalibrationPrior, linear_system, minimise
@@ -31,7 +30,7 @@ from fgloc.smoothing.slip import (
     explain,
     with_slips,
 )
-from fgloc.smoothing.trust import STRAINED
+from fgloc.smoothing.trust import STRAINED, pulled
 
 LOOK_NS = 3_000_000_000
 """A look goes back by so much [ns], and as far before a slip that has not ended."""
@@ -82,7 +81,7 @@ class SlipWatch:
         whole = self._smoother.smoothed_whole
         again = whole and window.slipped > self._begin(window.newest)
         # A slip bends the calibration as far as it goes before a residual shows it.
-        bent = whole and stretch(self._smoother, self._smoother.calibration) > STRETCHED
+        bent = whole and self._bent
         if not (again or bent or (suspect and self._wait <= 0)):
             return None
         begin = self._begin(window.newest)
@@ -102,6 +101,13 @@ class SlipWatch:
             and not often
             and self._smoother.strain() < STRAINED
         )
+
+    @property
+    def _bent(self) -> bool:
+        """Return True if a parameter is far from nominal, observed or not."""
+        layout = self._smoother.window.layout
+        parameters = layout.parameters[: len(layout.free)]
+        return pulled(parameters, self._smoother.calibration, None) > STRETCHED
 
     def _count(self, new: range) -> None:
         """Add up how long wheels turned, and slipped."""

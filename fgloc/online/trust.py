@@ -10,7 +10,7 @@ from fgloc.core.measurements import Floats
 from fgloc.factors.tables import FactorTable, Kind
 from fgloc.online.priors import first_prior
 from fgloc.online.smoother import WindowSmoother, mean_cost
-from fgloc.smoothing.trust import GAIN, STRAINED, STRETCHED
+from fgloc.smoothing.trust import GAIN, STRAINED, STRETCHED, pulled
 
 SUSPECTS = (Kind.YAW, Kind.YAW_RATE)
 """Sensors that may lie about the heading while everything else agrees."""
@@ -52,8 +52,8 @@ class Trust:
         if not suspects or self._wait > 0:
             self._wait -= 1
             return None
-        before, pulled = smoother.strain(), stretch(smoother, smoother.calibration)
-        if before < STRAINED and pulled < STRETCHED:
+        before, far = smoother.strain(), stretch(smoother, smoother.calibration)
+        if before < STRAINED and far < STRETCHED:
             return None
         for suspect in suspects:
             trial = smoother.solve_without(suspect, self._prior())
@@ -65,9 +65,9 @@ class Trust:
                     f"without it their mean cost falls from {before:.3g} to {after:.3g} (0.5 is "
                     "right)"
                 )
-            elif pulled >= STRETCHED and stretch(smoother, trial.calibration) < 0.5 * pulled:
+            elif far >= STRETCHED and stretch(smoother, trial.calibration) < 0.5 * far:
                 verdict = (
-                    f"{suspect} could only be right if the robot's calibration were {pulled:.1f} "
+                    f"{suspect} could only be right if the robot's calibration were {far:.1f} "
                     "prior sigmas from nominal, and is left out from now on; if the robot is like "
                     "that, say so with --robot"
                 )
@@ -98,9 +98,10 @@ class Trust:
 
 
 def stretch(smoother: WindowSmoother, calibration: Floats) -> float:
-    """Return how many prior sigmas the robot's own calibration is away, at most."""
+    """Return how many prior sigmas the robot's own calibration is away, at most.
+
+    Of parameters that the drive observes; see `fgloc.smoothing.trust.stretch`.
+    """
     layout = smoother.window.layout
-    pulls = [
-        abs(calibration[k]) / layout.parameters[k].solver_sigma for k in range(len(layout.free))
-    ]
-    return float(max(pulls, default=0.0))
+    known = smoother.posterior.covariance[layout.width :, layout.width :]
+    return pulled(layout.parameters[: len(layout.free)], calibration, known)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from fgloc.core.drive import Drive
-from fgloc.core.measurements import Yaw, YawRate
+from fgloc.core.kinematics import Parameter
+from fgloc.core.measurements import Floats, Yaw, YawRate
 from fgloc.factors.tables import Kind
 from fgloc.smoothing.build import build_problem
 from fgloc.smoothing.optimise import Solution, optimise
@@ -18,7 +20,9 @@ from fgloc.smoothing.slip import look_for_slip
 STRAINED = 2.0
 """Strain (see `strain`) that calls for a trial."""
 STRETCHED = 3.5
-"""Prior sigmas at which the robot's calibration is not believed."""
+"""Prior sigmas at which an observed calibration is not believed."""
+OBSERVED = 0.5
+"""Part of a parameter's prior sigma below which it is observed."""
 GAIN = 0.3
 """A sensor is left out if the strain falls below this fraction without it."""
 ARBITERS = (Kind.POSITION_FIX, Kind.POSE_FIX, Kind.CAMERA)
@@ -40,10 +44,29 @@ def strain(solution: Solution) -> float:
 
 
 def stretch(problem: Problem, solution: Solution) -> float:
-    """Return how many prior sigmas the robot's own calibration was pulled away, at most."""
-    robot = range(len(problem.free))
-    pulls = [abs(solution.point.u[k]) / problem.parameters[k].solver_sigma for k in robot]
-    return float(max(pulls, default=0.0))
+    """Return how many prior sigmas the robot's own calibration was pulled away, at most.
+
+    Only parameters that the drive observes count: the others are pulled by noise, a track by that
+    of the encoders on a straight run.
+    """
+    return pulled(
+        problem.parameters[: len(problem.free)],
+        solution.point.u,
+        solution.calibration_covariance,
+    )
+
+
+def pulled(parameters: Sequence[Parameter], u: Floats, covariance: Floats | None) -> float:
+    """Return the largest |u|/prior sigma of the observed of F parameters; 0 without any.
+
+    `u` and `covariance` hold these and perhaps more in front; without one, all count.
+    """
+    pulls = [
+        abs(float(u[k])) / p.solver_sigma
+        for k, p in enumerate(parameters)
+        if covariance is None or np.sqrt(covariance[k, k]) < OBSERVED * p.solver_sigma
+    ]
+    return max(pulls, default=0.0)
 
 
 def _solve(drive: Drive, settings: Settings) -> tuple[Problem, Solution]:
@@ -68,8 +91,8 @@ def solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Solutio
         if not looked and strain(solution) < STRAINED:
             problem, solution = look_for_slip(problem, solution, settings)
             looked = True
-        before, pulled = strain(solution), stretch(problem, solution)
-        if before < STRAINED and pulled < STRETCHED:
+        before, far = strain(solution), stretch(problem, solution)
+        if before < STRAINED and far < STRETCHED:
             break
         less = replace(drive, sensors=tuple(s for s in drive.sensors if s.sensor != suspect))
         other, trial = _solve(less, settings)
@@ -79,9 +102,9 @@ def solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Solutio
                 f"{suspect} contradicts the absolute sensors and was left out: without it "
                 f"their mean cost falls from {before:.3g} to {after:.3g} (0.5 is right)"
             )
-        elif pulled >= STRETCHED and stretch(other, trial) < 0.5 * pulled:
+        elif far >= STRETCHED and stretch(other, trial) < 0.5 * far:
             notes[suspect] = (
-                f"{suspect} could only be right if the robot's calibration were {pulled:.1f} "
+                f"{suspect} could only be right if the robot's calibration were {far:.1f} "
                 "prior sigmas from nominal, and was left out; if the robot is like that, say so "
                 "with --robot"
             )

@@ -94,3 +94,11 @@ def test_a_checkpoint_in_the_middle_of_a_slip_goes_on_to_the_last_bit(tmp_path: 
     assert np.flatnonzero(slips[:, 3]).tolist() == list(range(21, 26))
     assert not slips[:, 1:3].any()
     np.testing.assert_allclose(slips[slips != 0.0], 1 / 6, atol=0.02)
+
+
+def test_a_track_that_a_straight_run_does_not_observe_says_nothing_against_the_yaw() -> None:
+    # Rounded counts pull the unknown track far out, by 3.7 prior sigmas; that is noise.
+    result, end = drive_live("seed-a-vehicle-straight?seed=15&yaw_zero=0.001927&nominal_track=0.48")
+    assert "yaw" in result.sensors_used
+    assert not any("left out" in note for note in result.notes)
+    assert end < 0.05
