@@ -8,6 +8,7 @@ with a `time` column in local wall time to the microsecond, which is the time ba
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from pathlib import Path
@@ -39,6 +40,8 @@ HALF = 0.1125
 """Nominal distance of every wheel from both axes of the robot [m]."""
 RADIUS = 0.0254
 """Nominal wheel radius [m]."""
+WITHIN = 0.05
+"""How far dimensions may be off, relative to nominal; all values within are alike."""
 SKIPPED = 29
 """First samples of the motion capture that the publication leaves out."""
 LATE_S = 0.015
@@ -59,9 +62,19 @@ def runs(folder: Path) -> list[str]:
 
 
 def robot() -> Robot:
-    """Return the robot at its nominal dimensions."""
+    """Return the robot at its nominal dimensions.
+
+    The publication looks for all radii and wheel positions within 5 % of nominal: as standard
+    deviation of the priors that is 2.9 %.
+    """
     positions = ((HALF, HALF), (-HALF, HALF), (-HALF, -HALF), (HALF, -HALF))
-    base = four_wheel_steer(tuple(WHEELS), positions, (RADIUS,) * 4)
+    base = four_wheel_steer(
+        tuple(WHEELS),
+        positions,
+        (RADIUS,) * 4,
+        position_prior=WITHIN / math.sqrt(3.0) * HALF,
+        radius_prior=WITHIN / math.sqrt(3.0),
+    )
     return Robot.typical("4WIS4WID wall climber", base)
 
 

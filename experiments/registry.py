@@ -11,6 +11,7 @@ from fgloc.experiments.experiment import Experiment
 MODULES: dict[str, str] = {
     "seed-a-simulation": "fgloc.experiments.seed_a.simulation",
     "seed-a-vehicle": "fgloc.experiments.seed_a.vehicle",
+    "seed-d-nominal": "fgloc.experiments.seed_d.nominal",
 }
 """Modules with a constant EXPERIMENT, by the experiment's id, in the order of the list."""
 

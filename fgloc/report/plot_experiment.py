@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 P = TypeVar("P")
 FLAT = 6.0
-"""Paths more than this many times as long as wide are stretched."""
+"""Paths more than this many times as long as wide, or as wide as long, are stretched."""
 PUBLISHED = "#B00020"
 """Colour of published numbers."""
 
@@ -211,6 +211,11 @@ def _scale(axes: Axes, paths: Sequence[Floats], title: str) -> None:
         axes.set(xlim=(low[0] - margin, high[0] + margin))
         axes.set(ylim=(low[1] - 0.15 * tall, high[1] + 0.15 * tall))
         return
+    if tall > FLAT * wide:
+        axes.set_title(f"{title} (x not to scale)", fontsize="medium")
+        axes.set(xlim=(low[0] - 0.15 * wide, high[0] + 0.15 * wide))
+        axes.set(ylim=(low[1] - margin, high[1] + margin))
+        return
     axes.set_title(title, fontsize="medium")
-    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_aspect("equal", adjustable="box")
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
