@@ -13,7 +13,7 @@ METHODS = "model1,model2,model3,pose-ekf,rl-ekf,batch,online"
 INTEGRATORS = ("exact", "midpoint", "euler")
 """Steps of Model 1; `fgloc.core.geometry.INTEGRATORS`, which cannot be imported without numpy."""
 
-DRIVE = "a recording (path), DATASET:RUN, or sim:NAME?key=value"
+DRIVE = "a recording (path), DATASET:RUN, sim:NAME?key=value, or semi:DRIVE?seed=N"
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -34,6 +34,10 @@ PERIODS = 3.0
 """Half of it in periods of the truth, at least: a parabola needs more than three poses."""
 FEWEST = 5
 """Fewer poses around a time are no fit; there the course is interpolated between two poses."""
+NORMAL_MEDIAN = 0.6745
+"""Median of the absolute value of a standard normal number."""
+MOST_LEVERAGE = 0.9
+"""Leverage beyond which residuals are no measure of noise."""
 MAX_GAP_S = 0.25
 """Between poses further apart nothing is known of the motion [s]: no sensor reads there."""
 FINE_STEP_NS = 5_000_000
@@ -52,6 +56,9 @@ class RecordedCourse:
     """Stamp of the drive at which the course is 0."""
     gaps_ns: Stamps
     """(N, 2) begin and end of the times of which the recording tells nothing, in the course's."""
+    noise: tuple[float, float, float]
+    """Standard deviations of what is left of the truth's noise in x, y [m] and heading [rad], at
+    most: what the robot trembles too fast for the fit counts as noise here."""
 
     def known(self, stamps_ns: Stamps) -> npt.NDArray[np.bool_]:
         """Return (M,) True where the motion at stamps (M,) of the course is known."""
@@ -93,7 +100,8 @@ def record(drive: Drive) -> RecordedCourse:
     moved = geometry.log(geometry.between(smooth[:-1], smooth[1:]))
     wide = np.flatnonzero(np.diff(taken) > MAX_GAP_S * 1e9)
     gaps = np.stack([taken[wide], taken[wide + 1]], axis=1) - begin
-    return RecordedCourse(Course(step, moved, smooth), begin, gaps)
+    noise = noise_left(seconds, poses)
+    return RecordedCourse(Course(step, moved, smooth), begin, gaps, noise)
 
 
 def local_fit(seconds: Floats, values: Floats, at: Floats) -> Floats:
@@ -106,6 +114,23 @@ def local_fit(seconds: Floats, values: Floats, at: Floats) -> Floats:
     out = np.empty((at.size, values.shape[1]))
     _local_fit(seconds, np.ascontiguousarray(values), at, half, out)
     return out
+
+
+def noise_left(seconds: Floats, poses: Floats) -> tuple[float, float, float]:
+    """Return the sigmas of white noise that a local fit leaves in poses (N, 3).
+
+    With leverage l of a pose in its own fit, residuals have variance (1 - l) of the noise's and the
+    fit has l of it at most.
+    """
+    middle = seconds.size // 2
+    impulse = np.zeros((seconds.size, 1))
+    impulse[middle] = 1.0
+    leverage = float(local_fit(seconds, impulse, seconds[middle : middle + 1])[0, 0])
+    off = np.median(np.abs(poses - local_fit(seconds, poses, seconds)), axis=0) / NORMAL_MEDIAN
+    # A pose that is all of its own fit tells nothing of its noise.
+    share = min(leverage, MOST_LEVERAGE)
+    x, y, heading = (off * np.sqrt(share / (1.0 - share))).tolist()
+    return x, y, heading
 
 
 @compiled

@@ -13,6 +13,9 @@ they were recorded. Everything drawn comes from the seed:
 
 Estimators are told these sigmas (0.5 °/s for the bias: what a fixed size with either sign has), the
 nominal place, and never what was drawn. What was drawn is in `Drive.true_calibration`.
+
+A sensor cannot be better than the truth that it is made of. Where smoothing leaves more noise than
+`NOISY`, estimators are told of it as well, and so is the user.
 """
 
 from __future__ import annotations
@@ -23,7 +26,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fgloc.core.drive import Drive
-from fgloc.core.measurements import Sensor
+from fgloc.core.measurements import CameraPoses, Sensor, YawRate
 from fgloc.datasets.simulator.models import CameraModel, GyroModel
 from fgloc.datasets.simulator.recorded_course import RecordedCourse, record
 from fgloc.datasets.simulator.sensors import measure_camera, measure_gyro
@@ -53,6 +56,11 @@ MPU6050 = GyroModel(
     bias_walk=0.002 * DEGREE,
 )
 """The gyro."""
+NOISY = 3e-4
+"""Noise of the smoothed truth [m, rad] from which on it is part of what sensors state: about what
+gyro and camera wander in some seconds anyway."""
+STEADY_S = 0.1
+"""Time over which a gyro that differences a noisy heading is stated as uncertain as that [s]."""
 LABEL = "semi-real"
 """What such drives are called wherever they are shown."""
 
@@ -112,18 +120,42 @@ def with_semi_real(drive: Drive, spec: SemiRealSpec, name: str | None = None) ->
         sensors.append(_camera(drive, recorded, spec, taken, truth))
     if spec.gyro.on:
         sensors.append(_gyro(drive, recorded, spec, taken, truth))
+    sensors = [_as_noisy(s, recorded.noise) for s in sensors]
     made = " and ".join(s.sensor for s in sensors)
     note = (
         f"{LABEL}: {made} synthesised from the recorded truth, seed {spec.seed}; "
         "wheels and truth as recorded."
     )
+    notes = [note]
+    if max(recorded.noise) > NOISY:
+        millis = [1e3 * sigma for sigma in recorded.noise]
+        notes.append(
+            f"{LABEL}: the truth is noisy, {max(millis[:2]):.2g} mm and {millis[2]:.2g} mrad are "
+            f"left when it is smoothed; {made} state this noise beside their own, but share it, "
+            "which no estimator expects: compare with care."
+        )
     return replace(
         drive,
         name=drive.name if name is None else name,
         sensors=(*drive.sensors, *sensors),
-        notes=(*drive.notes, note),
+        notes=(*drive.notes, *notes),
         true_calibration={**(drive.true_calibration or {}), **truth},
     )
+
+
+def _as_noisy(sensor: Sensor, noise: tuple[float, float, float]) -> Sensor:
+    """Return the sensor with the noise of the truth that it was made of as part of its own."""
+    if max(noise) <= NOISY:
+        return sensor
+    if isinstance(sensor, CameraPoses):
+        return replace(
+            sensor,
+            position_sigma=math.hypot(sensor.position_sigma, *noise[:2]),
+            heading_sigma=math.hypot(sensor.heading_sigma, noise[2]),
+        )
+    assert isinstance(sensor, YawRate)
+    # The angle between two times is off by the noise at both of them.
+    return replace(sensor, density=math.hypot(sensor.density, noise[2] * math.sqrt(2.0 / STEADY_S)))
 
 
 def _name(kind: str, taken: set[str]) -> str:

@@ -253,3 +253,26 @@ def test_the_recorded_truth_does_not_shake_the_gyro(data_dir: object) -> None:
     angle = np.cumsum(still - still.mean()) * 0.01
     wandered = angle[100:] - angle[:-100]
     assert np.std(wandered) < 0.005 * DEGREE
+
+
+def test_a_noisy_truth_is_stated() -> None:
+    clean = drive_of(10.0)
+    assert clean.truth is not None
+    rng = np.random.default_rng(5)
+    truth = clean.truth.trajectory
+    noise = np.array([0.5e-3, 0.5e-3, 5e-3])
+    shaken = Trajectory(truth.stamps_ns, truth.poses + noise * rng.normal(size=truth.poses.shape))
+    drive = with_semi_real(replace(clean, truth=Reference(shaken)), SemiRealSpec(0))
+    camera, gyro = sensors(drive)
+    recorded = record(replace(clean, truth=Reference(shaken)))
+    # Ten poses in a fit: what is left is seen in the course itself, which was straight.
+    left = np.std(recorded.course.poses[20:-20, 2])
+    assert camera.heading_sigma == pytest.approx(left, rel=0.35)
+    assert gyro.density == pytest.approx(left * math.sqrt(20.0), rel=0.35)
+    assert any("truth is noisy" in note for note in drive.notes)
+    assert not any("noisy" in note for note in with_semi_real(clean, SemiRealSpec(0)).notes)
+
+
+def test_the_swerve_s_truth_is_not_noisy(data_dir: object) -> None:
+    for run in (1, 6, 11, 16, 21, 26):
+        assert max(record(load_drive(f"vitko-swerve:{run}")).noise) < 2e-4
