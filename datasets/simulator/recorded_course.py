@@ -94,9 +94,8 @@ def record(drive: Drive) -> RecordedCourse:
     poses = geometry.compose(truth.poses, mount)
     poses[:, 2] = np.unwrap(poses[:, 2])
     at = np.arange(count + 1, dtype=np.int64) * step
-    smooth = local_fit(
-        np.asarray((taken - begin) * 1e-9, np.float64), poses, np.asarray(at * 1e-9, np.float64)
-    )
+    seconds = np.asarray((taken - begin) * 1e-9, np.float64)
+    smooth = local_fit(seconds, poses, np.asarray(at * 1e-9, np.float64))
     moved = geometry.log(geometry.between(smooth[:-1], smooth[1:]))
     wide = np.flatnonzero(np.diff(taken) > MAX_GAP_S * 1e9)
     gaps = np.stack([taken[wide], taken[wide + 1]], axis=1) - begin

@@ -17,7 +17,7 @@ import numpy as np
 from fgloc.core.drive import Drive
 from fgloc.core.geometry import EXACT, integrate, interpolate
 from fgloc.core.kinematics import Parameter, prior_covariance
-from fgloc.core.measurements import Floats
+from fgloc.core.measurements import Floats, Stamps
 from fgloc.core.robot import Robot
 from fgloc.core.start import start_pose, trim_to_truth
 
@@ -97,13 +97,14 @@ def _path(drive: Drive, start: Floats, values: Floats) -> Floats:
     return integrate(moved, start, EXACT)
 
 
-def _points(drive: Drive) -> tuple[Floats, Floats]:
+def _points(drive: Drive) -> tuple[Stamps, Floats]:
     """Return which of a drive's wheel stamps are compared, and the truth there."""
     assert drive.truth is not None
     truth = drive.truth.trajectory
     stamps = drive.wheels.stamps_ns
     inside = np.flatnonzero(stamps <= truth.stamps_ns[-1])
-    at = inside[np.round(np.linspace(0, inside.size - 1, POINTS + 1)).astype(np.int64)][1:]
+    evenly = np.round(np.linspace(0, inside.size - 1, POINTS + 1)).astype(np.int64)[1:]
+    at = inside[evenly].astype(np.int64)
     after = np.clip(np.searchsorted(truth.stamps_ns, stamps[at]), 1, len(truth) - 1)
     before, following = truth.stamps_ns[after - 1], truth.stamps_ns[after]
     part = (stamps[at] - before) / (following - before)
