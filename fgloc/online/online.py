@@ -71,20 +71,17 @@ def slips_of(engine: OnlineEngine) -> tuple[WheelSlip, ...]:
     history = window.slip_history + window.slips_until(len(window.stamps_ns) - 1)
     if not history:
         return ()
-    # Intervals without slip in between keep stretches apart.
-    stamps = np.array([[begin, end] for begin, end, _, _ in history], np.int64).ravel()
-    none = np.zeros_like(history[0][2])
-    slips = np.array([row for _, _, s, _ in history for row in (s, none)][:-1])
-    sigmas = np.array([row for _, _, _, s in history for row in (s, none)][:-1])
-    joined = np.flatnonzero(stamps[1:-1:2] == stamps[2::2])
-    keep = np.setdiff1d(np.arange(slips.shape[0]), 2 * joined + 1)
-    bounds = np.append(stamps[keep], stamps[-1])
-    return wheel_slips(
-        engine.layout.robot.base.driven_names,
-        bounds,
-        slips[keep],
-        sigmas[keep],
-        slips[keep] != 0.0,
+    bounds = np.array([[begin, end] for begin, end, _, _ in history], np.int64)
+    slips, sigmas = (np.array([row[k] for row in history]) for k in (2, 3))
+    names = engine.layout.robot.base.driven_names
+    # Intervals that follow each other belong together; others are kept apart.
+    apart = np.flatnonzero(bounds[1:, 0] != bounds[:-1, 1]) + 1
+    return tuple(
+        slip
+        for k in np.split(np.arange(len(history)), apart)
+        for slip in wheel_slips(
+            names, np.append(bounds[k, 0], bounds[k[-1], 1]), slips[k], sigmas[k], slips[k] != 0.0
+        )
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from fgloc.core.measurements import Floats
 from fgloc.factors.slip import redundancy_table, redundant
-from fgloc.factors.tables import FactorTable, Kind, linearise
+from fgloc.factors.tables import Kind, linearise
 from fgloc.online.priors import carried_prior
 from fgloc.online.settings import OnlineSettings
 from fgloc.online.smoother import WindowSmoother
@@ -75,16 +75,14 @@ class SlipWatch:
         self._wait -= len(new)
         if not new or self._settings.slip is None or not self._able:
             return None
-        suspect = self._suspect(new.start - 1)
-        # Now and then a slip that goes on, or just ended, is looked at again: its size is known
-        # the better the longer it lasts.
-        whole = self._smoother.smoothed_whole
-        again = whole and window.slipped > self._begin(window.newest)
-        # A slip bends the calibration as far as it goes before a residual shows it.
-        bent = whole and self._bent
-        if not (again or bent or (suspect and self._wait <= 0)):
-            return None
         begin = self._begin(window.newest)
+        # Now and then a slip that goes on, or just ended, is looked at again: its size is known
+        # the better the longer it lasts. And a slip bends the calibration as far as it goes before
+        # a residual shows it.
+        whole = self._smoother.smoothed_whole
+        wanted = whole and (window.slipped > begin or self._bent)
+        if not wanted and (self._wait > 0 or not self._suspect(new.start - 1)):
+            return None
         found = self._explain(begin)
         self._pause = 1 if found is not None else min(2 * self._pause, PATIENCE)
         self._wait = self._pause
@@ -161,15 +159,10 @@ class SlipWatch:
         prior = carried_prior(window, begin)
         if prior is None or model is None:
             return None
-        end = window.newest + 1
-        tables: list[FactorTable] = [prior]
-        for live in window.tables.values():
-            rows = live.rows(begin, end)
-            if rows.start < rows.stop and live is not window.wheels:
-                tables.append(live.view(rows, begin))
-        problem = window.problem(begin, end, tuple(tables), as_turned=True)
+        tables = (prior, *window.factors(begin, window.tables.values()))
+        problem = window.problem(begin, window.newest + 1, tables, as_turned=True)
         g = self._smoother.calibration.size
-        free = CalibrationPrior(np.zeros(g), np.zeros((g, g)))
+        free = CalibrationPrior.flat(g)
         few = replace(self._settings, max_iterations=STEPS, tolerance=ROUGH)
         plain, _, _ = minimise(
             problem, few, problem.states.copy(), self._smoother.calibration, True, free
@@ -189,9 +182,8 @@ class SlipWatch:
         before = window.slips.view[begin - window.base + 1 :]
         slips, sigmas = np.zeros_like(before), np.zeros_like(before)
         if found is not None:
-            slot, mask = found.problem.slip_slot, found.slipping
-            states = found.point.states
-            slips[mask] = states[1:, slot : slot + slips.shape[1]][mask]
+            mask = found.slipping
+            slips[mask] = found.problem.slips(found.point.states)[mask]
             sigmas[mask] = self._sigmas(found)[mask]
         if np.abs(slips - before).max(initial=0.0) < CHANGED:
             return None
@@ -204,8 +196,7 @@ class SlipWatch:
 
     def _sigmas(self, found: Explanation) -> Floats:
         """Return the (K-1, W) posterior standard deviations of the slips."""
-        g = found.point.u.size
-        free = CalibrationPrior(np.zeros(g), np.zeros((g, g)))
+        free = CalibrationPrior.flat(found.point.u.size)
         solved = solve(linear_system(free, found.point), 0.0, with_covariance=True)
         slot, wheels = found.problem.slip_slot, self._smoother.window.slipping.size
         if solved is None or solved.covariance is None:

@@ -260,15 +260,9 @@ class WindowSmoother:
         `explore`: try other starting points where the first leads to one that misses the fixes.
         """
         window = self.window
-        end = window.newest + 1
-        tables = [prior]
-        for table in live:
-            rows = table.rows(window.base, end)
-            if rows.start < rows.stop and table is not window.wheels:
-                tables.append(table.view(rows, window.base))
-        problem = window.problem(window.base, end, tuple(tables))
-        g = self.calibration.size
-        free = CalibrationPrior(np.zeros(g), np.zeros((g, g)))
+        tables = (prior, *window.factors(window.base, live))
+        problem = window.problem(window.base, window.newest + 1, tables)
+        free = CalibrationPrior.flat(self.calibration.size)
         best: Point | None = None
         quick = replace(self._settings, max_iterations=STEPS, tolerance=ROUGH)
         for states, u in self._starts(problem, prior, explore):

@@ -6,6 +6,7 @@ engine: every solver is fed from it, and can be rebuilt from it.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -260,6 +261,15 @@ class Window:
             turn=unknown,
             turn_spread=np.zeros((unknown.size, 2)),
         )
+
+    def factors(self, begin: int, tables: Iterable[LiveTable]) -> list[FactorTable]:
+        """Return the factors of live tables from keyframe `begin` on, but for the wheels'."""
+        found = []
+        for live in tables:
+            rows = live.rows(begin, self.newest + 1)
+            if rows.start < rows.stop and live is not self.wheels:
+                found.append(live.view(rows, begin))
+        return found
 
     def drop(self, before: int) -> dict[str, Floats]:
         """Forget keyframes older than `before`; return the last weights of what was dropped.

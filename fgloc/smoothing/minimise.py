@@ -55,6 +55,11 @@ class CalibrationPrior:
         return CalibrationPrior(mean, np.linalg.inv(np.linalg.cholesky(covariance)))
 
     @staticmethod
+    def flat(size: int) -> CalibrationPrior:
+        """Return no prior on (G,) variables: another factor holds what is known of them."""
+        return CalibrationPrior(np.zeros(size), np.zeros((size, size)))
+
+    @staticmethod
     def of(problem: Problem) -> CalibrationPrior:
         """Return the prior of a problem: solver variables are zero at nominal."""
         mean = np.zeros(len(problem.parameters))

@@ -145,6 +145,11 @@ class Problem:
             )
         return replace(self, tables=(*self.tables, *more))
 
+    def slips(self, states: Floats) -> Floats:
+        """Return the (K-1, W) slips of the driven wheels in every interval, where modelled."""
+        wheels = len(self.robot.base.driven)
+        return states[1:, self.slip_slot : self.slip_slot + wheels]
+
     def displacement(self, u: Floats) -> Floats:
         """Return the wheels' (K-1, 3) displacements at calibration u."""
         return preintegrate(self.split, self.robot, self.values(u)).displacement
@@ -161,8 +166,7 @@ class Problem:
         if not slips:
             pre = preintegrate(self.split, self.robot, self.values(u))
         else:
-            at = (self.states if states is None else states)[1:, self.slip_slot :][:, :slips]
-            at = np.minimum(at, SPINNING)
+            at = np.minimum(self.slips(self.states if states is None else states), SPINNING)
             pre, effect = slip_effect(self.split, self.robot, self.values(u), at)
         n, f = pre.displacement.shape[0], len(self.free)
         scale = np.array([self.parameters[k].derivative(float(u[k])) for k in range(f)])

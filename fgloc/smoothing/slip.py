@@ -152,7 +152,7 @@ def slips_of(problem: Problem, solution: Solution) -> tuple[WheelSlip, ...]:
         return ()
     names = problem.robot.base.driven_names
     columns = slice(problem.slip_slot, problem.slip_slot + len(names))
-    slips = solution.point.states[1:, columns]
+    slips = problem.slips(solution.point.states)
     sigmas = np.full(slips.shape, np.nan)
     if solution.covariance is not None:
         sigmas = np.sqrt(np.diagonal(solution.covariance, axis1=1, axis2=2)[1:, columns])
@@ -167,8 +167,7 @@ def seen_by_others(problem: Problem) -> bool:
 
 def where_slipping(problem: Problem, point: Point) -> npt.NDArray[np.bool_]:
     """Return (K-1, W): in which interval which driven wheel turns and slips."""
-    wheels = len(problem.robot.base.driven)
-    slips = point.states[1:, problem.slip_slot :][:, :wheels]
+    slips = problem.slips(point.states)
     rolled = np.add.reduceat(problem.split.angles, problem.split.bounds[:-1], axis=0)
     return np.asarray((np.abs(slips) > SLIPPING) & (rolled != 0.0))
 
