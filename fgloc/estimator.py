@@ -13,6 +13,7 @@ from fgloc.core.drive import Drive
 from fgloc.core.kinematics import Parameter
 from fgloc.core.measurements import Floats, Stamps
 from fgloc.core.trajectory import Trajectory
+from fgloc.lidar.walls import Map
 
 
 @dataclass(frozen=True)
@@ -184,6 +185,8 @@ class Result:
     """Which wheels slipped when, in order of time; empty for methods that do not model slip."""
     calibration_covariance: Floats | None = None
     """(G, G) covariance of `calibration` in its order and physical units; None if unknown."""
+    map: Map | None = None
+    """Walls and landmarks; None for methods that make no map, or without a sensor for it."""
 
 
 class Estimator(Protocol):

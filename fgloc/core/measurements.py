@@ -6,6 +6,7 @@ A stream validates itself on construction, so code behind a reader never checks 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -218,26 +219,71 @@ class Scans:
     angle_increment: float
     """Angle between beams [rad], signed."""
     beam_period: float = 0.0
-    """Time between beams [s]."""
+    """Time between beams [s]; 0 where a scan is taken at once, or was straightened before."""
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Nominal pose of the lidar on the robot: x, y [m], yaw [rad]."""
     mount_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Prior standard deviations of the mount [m, m, rad]."""
+    range_sigma: float = 0.01
+    """Standard deviation of a range [m], what does not grow with it."""
+    range_sigma_share: float = 0.0
+    """Standard deviation of a range as a share of it (0.01: 1 %), added in squares."""
+    bearing_sigma: float = 0.0
+    """Standard deviation of a beam's direction [rad]."""
+    min_range: float = 0.0
+    """Shortest range that the sensor can measure [m]."""
+    max_range: float = 1000.0
+    """Longest range that the sensor can measure [m]; readings from there on are no returns."""
 
     def __post_init__(self) -> None:
         check_arrays(self.sensor, self.stamps_ns, {"ranges": self.ranges}, self.stamps_ns.size)
+        if self.ranges.ndim != 2:
+            raise FglocError(f"{self.sensor}: ranges must have one row a scan")
+        if not (math.isfinite(self.angle_min) and math.isfinite(self.angle_increment)):
+            raise FglocError(f"{self.sensor}: the beams' directions must be finite")
+        others = {
+            "range_sigma_share": self.range_sigma_share,
+            "bearing_sigma": self.bearing_sigma,
+            "beam_period": self.beam_period,
+            "min_range": self.min_range,
+        }
+        check_noise(self.sensor, {"range_sigma": self.range_sigma}, others)
+        if not self.max_range > self.min_range:
+            raise FglocError(f"{self.sensor}: max_range must be above min_range")
+        check_mount(self.sensor, self.mount, self.mount_sigma, 3)
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Where landmarks are, as somebody measured them."""
+
+    landmark: npt.NDArray[np.int64]
+    """(L,) identities."""
+    positions: Floats
+    """(L, 2) x, y in the map frame [m]."""
+    sigma: Floats
+    """(L, 2) standard deviations [m]."""
+
+    def __post_init__(self) -> None:
+        n = self.landmark.size
+        arrays = {"positions": self.positions, "sigma": self.sigma}
+        check_arrays("survey", np.zeros(0, np.int64), arrays, n, (2,))
+        if np.unique(self.landmark).size != n:
+            raise FglocError("survey: a landmark stands there twice")
+        if n and not bool(np.all(self.sigma > 0.0)):
+            raise FglocError("survey: every sigma of a landmark must be positive")
 
 
 @dataclass(frozen=True)
 class LandmarkSightings:
-    """Range and bearing to landmarks of known identity; stamps may repeat: one scan, many marks."""
+    """Range and bearing to point landmarks; stamps may repeat: one picture, many marks."""
 
     sensor: str
     """Name of the stream."""
     stamps_ns: Stamps
     """(N,) stamps, non-decreasing."""
     landmark: npt.NDArray[np.int64]
-    """(N,) identity of the landmark."""
+    """(N,) identity of the landmark; -1 where the sensor does not know which one it is."""
     range_m: Floats
     """(N,) distance [m]."""
     bearing: Floats
@@ -246,6 +292,12 @@ class LandmarkSightings:
     """Standard deviation of a range [m]."""
     bearing_sigma: float = 0.02
     """Standard deviation of a bearing [rad]."""
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Nominal pose of the sensor on the robot: x, y [m], yaw [rad]."""
+    mount_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Prior standard deviations of the mount [m, m, rad]."""
+    survey: Survey | None = None
+    """What is known of the landmarks' positions; None: nothing, they are to be mapped."""
 
     def __post_init__(self) -> None:
         n = self.stamps_ns.size
@@ -253,6 +305,9 @@ class LandmarkSightings:
         check_arrays(self.sensor, self.stamps_ns[:0], values, n, ())
         if n > 1 and not bool(np.all(np.diff(self.stamps_ns) >= 0)):
             raise FglocError(f"{self.sensor}: stamps go back in time")
+        noise = {"range_sigma": self.range_sigma, "bearing_sigma": self.bearing_sigma}
+        check_noise(self.sensor, noise)
+        check_mount(self.sensor, self.mount, self.mount_sigma, 3)
 
 
 Sensor = (
