@@ -68,7 +68,7 @@ class LineSettings:
     clutter: float = 12.0
     """Chi-square that leaving one beam out of all pieces has to save."""
     same: float = 13.8
-    """Pieces whose lines differ by less are one wall (squared, normalised, 2 degrees of freedom)."""
+    """Pieces whose lines differ by less (squared, normalised, two numbers) are one wall."""
 
     def __post_init__(self) -> None:
         if self.min_points < 4:
