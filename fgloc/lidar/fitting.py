@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from fgloc.core.compiled import compiled
-from fgloc.core.measurements import Floats, Stamps
-from fgloc.lidar.splitting import STEEPEST
+from fgloc.core.measurements import Floats
+from fgloc.lidar.beams import FLATTEST, Beams, Rules
 
 ROUNDS = 4
 """Gauss-Newton steps; the first comes within a few percent of a sigma of the last."""
@@ -35,29 +35,22 @@ WIDTH = 11
 
 
 @compiled
-def fit_line(
-    first: int,
-    last: int,
-    piece: int,
-    n: int,
-    label: Stamps,
-    x: Floats,
-    y: Floats,
-    r: Floats,
-    noise: Floats,
-    outlier: float,
-    along: Floats,
-    across: Floats,
-    weights: Floats,
-    out: Floats,
-) -> bool:
-    """Fit a line to the beams first..last (cyclic, last may exceed n) that carry label `piece`.
+def across_variance(rules: Rules, r: float, cosine: float) -> float:
+    """Return the variance across a wall at range r, met at an angle of that cosine to its normal.
 
-    noise is that of `fgloc.lidar.splitting.prepare`; beams farther than `outlier` sigmas from the
-    line do not count. Fills `out` (WIDTH,), and position along the tangent, distance towards the
-    lidar and weight of every beam of the piece into `along`, `across`, `weights` (n,), weight
-    0 where it does not count. False if the beams do not determine a line. O(last - first).
+    A beam that errs along itself is off by the cosine of that, one that errs in direction by the
+    sine of r times that.
     """
+    square = cosine * cosine
+    along = rules.range_sigma**2 + (rules.range_sigma_share * r) ** 2
+    return along * square + (rules.bearing_sigma * r) ** 2 * (1.0 - square) + rules.roughness_m**2
+
+
+@compiled
+def _begin(first: int, last: int, piece: int, rules: Rules, beams: Beams, out: Floats) -> bool:
+    """Write normal and a point of the line that is linear in 1/r; False if there is none."""
+    ux, uy, r, label = beams.ux, beams.uy, beams.r, beams.label
+    n = r.size
     m11 = m12 = m22 = b1 = b2 = 0.0
     axis = -1
     count = 0
@@ -67,9 +60,8 @@ def fit_line(
             continue
         if axis < 0:
             axis = k
-        ci, si = x[axis] / r[axis], y[axis] / r[axis]
-        c, s = (x[k] * ci + y[k] * si) / r[k], (y[k] * ci - x[k] * si) / r[k]
-        w = r[k] ** 4 / (noise[0] ** 2 + (noise[1] * r[k]) ** 2 + noise[3] ** 2)
+        c, s = ux[k] * ux[axis] + uy[k] * uy[axis], uy[k] * ux[axis] - ux[k] * uy[axis]
+        w = beams.weight[k]
         m11 += w * c * c
         m12 += w * c * s
         m22 += w * s * s
@@ -83,10 +75,29 @@ def fit_line(
     size = np.hypot(u, v)
     if not size > 0.0:
         return False
-    ci, si = x[axis] / r[axis], y[axis] / r[axis]
     # (u, v)·p = 1 along the line: the normal towards the lidar is the other way.
-    nx, ny = -(ci * u - si * v) / size, -(si * u + ci * v) / size
-    mx, my = -nx / size, -ny / size
+    out[0] = -(ux[axis] * u - uy[axis] * v) / size
+    out[1] = -(uy[axis] * u + ux[axis] * v) / size
+    out[2], out[3] = -out[0] / size, -out[1] / size
+    return True
+
+
+@compiled
+def fit_line(first: int, last: int, piece: int, rules: Rules, beams: Beams, out: Floats) -> bool:
+    """Fit a line to the beams first..last (cyclic, last may exceed n) whose label is `piece`.
+
+    Beams farther from the line than `rules.outlier` sigmas do not count. Fills `out` (WIDTH,),
+    and `along`, `across` and `trust` of the piece's beams. False if the beams do not determine a
+    line that the lidar is in front of. O(last - first).
+    """
+    label, along, across, trust = beams.label, beams.along, beams.across, beams.trust
+    n = label.size
+    if not _begin(first, last, piece, rules, beams, out):
+        return False
+    nx, ny, mx, my = out[0], out[1], out[2], out[3]
+    limit = rules.outlier * rules.outlier
+    used = 0
+    total = spread = shift = twist = centre = 0.0
     for turn in range(ROUNDS):
         total = moment = 0.0
         used = 0
@@ -94,48 +105,40 @@ def fit_line(
             k = q % n
             if label[k] != piece:
                 continue
-            ux, uy = x[k] / r[k], y[k] / r[k]
-            # Cosine between the beam and the way into the wall.
-            cosine = max(-(nx * ux + ny * uy), 1.0 / STEEPEST / 5.0)
-            h = nx * (x[k] - mx) + ny * (y[k] - my)
+            # Between the beam and the way into the wall.
+            cosine = max(-(nx * beams.ux[k] + ny * beams.uy[k]), FLATTEST)
+            h = nx * (beams.x[k] - mx) + ny * (beams.y[k] - my)
             # Where the beam would have met the line: h is measured along the normal.
             ahead = h / cosine
-            px, py = x[k] + ahead * ux, y[k] + ahead * uy
-            s = nx * (py - my) - ny * (px - mx)
-            seen = r[k] + ahead
-            sine2 = 1.0 - cosine * cosine
-            bent = (noise[2] * seen) ** 2
-            variance = (
-                (noise[0] ** 2 + (noise[1] * seen) ** 2) * cosine * cosine
-                + bent * sine2
-                + noise[3] ** 2
-            )
+            px, py = beams.x[k] + ahead * beams.ux[k] - mx, beams.y[k] + ahead * beams.uy[k] - my
+            s = nx * py - ny * px
+            seen = max(beams.r[k] + ahead, 0.0)
+            variance = across_variance(rules, seen, cosine)
             # A beam that errs in direction meets the wall farther away on average.
-            if seen > 0.0:
-                h += 0.5 * bent / seen * (1.0 + 2.0 * sine2 / (cosine * cosine)) * cosine
-            along[k], across[k] = s, h
-            weights[k] = 1.0 / variance
-            if turn > 0 and h * h > outlier * outlier * variance:
-                weights[k] = 0.0
+            bent = 0.5 * rules.bearing_sigma**2 * seen
+            h += bent * (2.0 / cosine - cosine)
+            along[k], across[k], trust[k] = s, h, 1.0 / variance
+            if turn > 0 and h * h > limit * variance:
+                trust[k] = 0.0
             else:
                 used += 1
-                total += weights[k]
-                moment += weights[k] * s
+                total += trust[k]
+                moment += trust[k] * s
         if used < 3:
             return False
         centre = moment / total
         spread = shift = twist = 0.0
         for q in range(first, last + 1):
             k = q % n
-            if label[k] == piece and weights[k] > 0.0:
+            if label[k] == piece and trust[k] > 0.0:
                 s = along[k] - centre
-                spread += weights[k] * s * s
-                shift += weights[k] * across[k]
-                twist -= weights[k] * across[k] * s
+                spread += trust[k] * s * s
+                shift += trust[k] * across[k]
+                twist -= trust[k] * across[k] * s
         if not spread > 0.0:
             return False
         shift /= total
-        twist = np.tan(max(-0.5, min(0.5, twist / spread)))
+        twist = max(-0.5, min(0.5, twist / spread))
         # The middle goes along the tangent (-ny, nx) and onto the line; the normal turns.
         mx, my = mx - ny * centre + nx * shift, my + nx * centre + ny * shift
         nx, ny = nx - twist * ny, ny + twist * nx
@@ -143,20 +146,24 @@ def fit_line(
         nx, ny = nx / size, ny / size
     if not nx * mx + ny * my < 0.0:
         return False
-    misfit = 0.0
-    third = fourth = bend = 0.0
+    out[NORMAL] = np.arctan2(ny, nx)
+    out[MIDDLE_X], out[MIDDLE_Y] = mx, my
+    out[NORMAL_VARIANCE], out[OFFSET_VARIANCE] = 1.0 / spread, 1.0 / total
+    out[BEAMS] = used
+    misfit = third = fourth = bend = 0.0
     right, left = np.inf, -np.inf
     for q in range(first, last + 1):
         k = q % n
-        if label[k] == piece and weights[k] > 0.0:
+        if label[k] == piece and trust[k] > 0.0:
             s = along[k] - centre
             h = across[k] - shift + twist * s
             along[k], across[k] = s, h
-            misfit += weights[k] * h * h
-            third += weights[k] * s**3
-            fourth += weights[k] * s**4
-            bend += weights[k] * h * s * s
+            misfit += trust[k] * h * h
+            third += trust[k] * s**3
+            fourth += trust[k] * s**4
+            bend += trust[k] * h * s * s
             right, left = min(right, s), max(left, s)
+    out[RIGHT], out[LEFT], out[MISFIT] = right, left, misfit
     # What is left of s² beside 1 and s, and how much of it the residuals hold.
     curved = fourth - third * third / spread - spread * spread / total
     half = 0.25 * (left - right) ** 2
@@ -164,9 +171,4 @@ def fit_line(
     if used > 3 and curved > 1e-9 * fourth:
         out[SAGITTA] = bend / curved * half
         out[SAGITTA_VARIANCE] = half * half / curved
-    out[NORMAL] = np.arctan2(ny, nx)
-    out[MIDDLE_X], out[MIDDLE_Y] = mx, my
-    out[RIGHT], out[LEFT] = right, left
-    out[NORMAL_VARIANCE], out[OFFSET_VARIANCE] = 1.0 / spread, 1.0 / total
-    out[MISFIT], out[BEAMS] = misfit, used
     return True

@@ -1,14 +1,20 @@
-"""Put pieces of one wall together again, and find the pieces that are chords of a curve."""
+"""Put pieces of one wall together again: neighbours, across small gaps, and behind what hides it.
+
+Pieces are numbers into first and last beam (cyclic) and fit; `order` lists those that are left.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from fgloc.core.compiled import compiled
 from fgloc.core.geometry import wrap_scalar
-from fgloc.core.kinematics import solve3
 from fgloc.core.measurements import Floats, Stamps
+from fgloc.lidar.beams import Beams, Rules
 from fgloc.lidar.fitting import (
+    BEAMS,
     LEFT,
     MIDDLE_X,
     MIDDLE_Y,
@@ -17,15 +23,124 @@ from fgloc.lidar.fitting import (
     NORMAL_VARIANCE,
     OFFSET_VARIANCE,
     RIGHT,
+    WIDTH,
+    fit_line,
 )
 
-BROADEST = np.radians(45.0)
-"""Neighbours that meet at a larger angle are a corner, not chords of a curve."""
+FARTHEST = 4
+"""Of two pieces to be merged the second is at most so many after the first."""
+
+
+class Pieces(NamedTuple):
+    """Straight pieces of one scan."""
+
+    first: Stamps
+    """First beam."""
+    last: Stamps
+    """Last beam; as many more as there are beams if that comes before the first."""
+    order: Stamps
+    """The pieces that are left, in the order of their beams."""
+    fits: Floats
+    """(pieces, WIDTH) their lines."""
+
+
+@compiled
+def fit_pieces(count: int, rules: Rules, beams: Beams, pieces: Pieces) -> int:
+    """Fit a line to every piece; those without one become clutter. Return how many are left."""
+    first, last, label = pieces.first, pieces.last, beams.label
+    for p in range(count):
+        first[p], last[p] = -1, -1
+    for k in range(label.size):
+        p = label[k]
+        if p >= 0:
+            if first[p] < 0:
+                first[p] = k
+            last[p] = k
+    left = 0
+    for p in range(count):
+        if last[p] - first[p] >= 3 and fit_line(first[p], last[p], p, rules, beams, pieces.fits[p]):
+            pieces.order[left] = p
+            left += 1
+        else:
+            for k in range(first[p], last[p] + 1):
+                label[k] = -1
+    return left
+
+
+@compiled
+def merge(left: int, rules: Rules, beams: Beams, pieces: Pieces) -> int:
+    """Merge pieces of one wall, near ones first; return how many pieces are left in `order`."""
+    first, last, order, fits, label = (
+        pieces.first,
+        pieces.last,
+        pieces.order,
+        pieces.fits,
+        beams.label,
+    )
+    n = label.size
+    trial = np.empty(WIDTH)
+    step = 1
+    while step <= FARTHEST and step < left:
+        merged = False
+        q = 0
+        while q < left and step < left and (rules.turn or q + step < left):
+            a, b = order[q], order[(q + step) % left]
+            if not _mergeable(a, b, rules, beams, pieces):
+                q += 1
+                continue
+            end = last[b] if last[b] > last[a] else last[b] + n
+            for i in range(first[b], last[b] + 1):
+                if label[i % n] == b:
+                    label[i % n] = a
+            fitted = fit_line(first[a], end, a, rules, beams, trial)
+            allowed = fits[a, MISFIT] + fits[b, MISFIT] + 2.0 * rules.same
+            if fitted and trial[MISFIT] <= allowed * rules.noise_margin**2:
+                last[a] = end
+                for i in range(WIDTH):
+                    fits[a, i] = trial[i]
+                gone = (q + step) % left
+                for i in range(gone, left - 1):
+                    order[i] = order[i + 1]
+                left -= 1
+                merged = True
+                if gone < q:
+                    q -= 1
+            else:
+                # What was b's lies outside of a's own run.
+                for i in range(first[b], last[b] + 1):
+                    j = i % n
+                    inside = first[a] <= j <= last[a] or first[a] <= j + n <= last[a]
+                    if label[j] == a and not inside:
+                        label[j] = b
+                q += 1
+        step = 1 if merged and step > 1 else step + 1
+    return left
+
+
+@compiled
+def _mergeable(a: int, b: int, rules: Rules, beams: Beams, pieces: Pieces) -> bool:
+    """Return whether piece b, the next after a but for some, shows the same wall as a."""
+    fa, fb = pieces.fits[a], pieces.fits[b]
+    if a == b or difference(fa, fb, rules.flatness_m) > rules.same:
+        return False
+    n = beams.r.size
+    better, other = (fa, fb) if fa[BEAMS] >= fb[BEAMS] else (fb, fa)
+    wide = _gap(better, other)
+    k = pieces.last[a] % n
+    cosine = abs(np.cos(better[NORMAL]) * beams.ux[k] + np.sin(better[NORMAL]) * beams.uy[k])
+    spacing = beams.r[k] * rules.increment / max(cosine, 0.05)
+    if wide <= max(rules.gap_m, 3.0 * spacing):
+        return True
+    begin = pieces.first[b] if pieces.first[b] > pieces.last[a] else pieces.first[b] + n
+    return wide <= rules.hidden_m and not _open(better, pieces.last[a] + 1, begin - 1, rules, beams)
 
 
 @compiled
 def floors(fit: Floats, flatness: float) -> tuple[float, float]:
-    """Return the variances of normal and offset, with those of a wall that is not quite plane."""
+    """Return the variances of normal and offset, with those of a wall that is not quite plane.
+
+    What is off by `flatness` [m] at any place turns a wall of length L by sqrt(12)·flatness/L.
+    """
     length = max(fit[LEFT] - fit[RIGHT], 1e-9)
     floor = flatness * flatness
     return fit[NORMAL_VARIANCE] + 12.0 * floor / (length * length), fit[OFFSET_VARIANCE] + floor
@@ -33,7 +148,7 @@ def floors(fit: Floats, flatness: float) -> tuple[float, float]:
 
 @compiled
 def difference(a: Floats, b: Floats, flatness: float) -> float:
-    """Return the squared normalised difference (2 degrees of freedom) of two fits' lines.
+    """Return the squared normalised difference (2 degrees of freedom) of the lines of two fits.
 
     They are compared half way between their nearer ends, where neither has to reach far.
     """
@@ -48,7 +163,7 @@ def difference(a: Floats, b: Floats, flatness: float) -> float:
     qy = 0.5 * (a[MIDDLE_Y] + end_a * nax + b[MIDDLE_Y] + end_b * nbx)
     ax, ay, bx, by = qx - a[MIDDLE_X], qy - a[MIDDLE_Y], qx - b[MIDDLE_X], qy - b[MIDDLE_Y]
     turn = wrap_scalar(a[NORMAL] - b[NORMAL])
-    # A normal that is turned by e lowers the line by e times the way s along the tangent.
+    # A normal that turns by e moves the distance at s along the tangent by e·s.
     sa, sb = ay * nax - ax * nay, by * nbx - bx * nby
     step = (nax * ax + nay * ay) - (nbx * bx + nby * by)
     c00 = va + vb
@@ -61,7 +176,7 @@ def difference(a: Floats, b: Floats, flatness: float) -> float:
 
 
 @compiled
-def gap(a: Floats, b: Floats) -> float:
+def _gap(a: Floats, b: Floats) -> float:
     """Return how far [m] fit b begins from where fit a ends, along a; 0 where they overlap."""
     nx, ny = np.cos(a[NORMAL]), np.sin(a[NORMAL])
     low, high = np.inf, -np.inf
@@ -75,90 +190,19 @@ def gap(a: Floats, b: Floats) -> float:
 
 
 @compiled
-def open_between(
-    a: Floats,
-    b: Floats,
-    first: int,
-    last: int,
-    n: int,
-    beam: Stamps,
-    beams: int,
-    x: Floats,
-    y: Floats,
-    behind: float,
-    most_missing: int,
-) -> bool:
-    """Return whether the beams first..last between two fits see through their common line.
+def _open(fit: Floats, first: int, last: int, rules: Rules, beams: Beams) -> bool:
+    """Return whether the beams first..last, beside a fit, see through its line.
 
-    They do if one ends more than `behind` [m] beyond it, or more than `most_missing` in a row
-    did not return.
+    They do if one ends more than the gap beyond it, or too many in a row did not return.
     """
-    better = a if a[NORMAL_VARIANCE] < b[NORMAL_VARIANCE] else b
-    nx, ny = np.cos(better[NORMAL]), np.sin(better[NORMAL])
+    n = beams.r.size
+    nx, ny = np.cos(fit[NORMAL]), np.sin(fit[NORMAL])
     for q in range(first, last + 1):
         k = q % n
-        if nx * (x[k] - better[MIDDLE_X]) + ny * (y[k] - better[MIDDLE_Y]) < -behind:
+        h = nx * (beams.x[k] - fit[MIDDLE_X]) + ny * (beams.y[k] - fit[MIDDLE_Y])
+        if h < -rules.gap_m:
             return True
     for q in range(first, last + 2):
-        if (beam[q % n] - beam[(q - 1) % n]) % beams > most_missing + 1:
+        if (beams.beam[q % n] - beams.beam[(q - 1) % n]) % rules.beams > rules.most_missing + 1:
             return True
     return False
-
-
-@compiled
-def curved_pair(
-    a: Floats,
-    b: Floats,
-    piece_a: int,
-    piece_b: int,
-    first: int,
-    last: int,
-    n: int,
-    label: Stamps,
-    x: Floats,
-    y: Floats,
-    weights: Floats,
-    limit: float,
-) -> bool:
-    """Return whether one parabola fits the beams of two neighbours as well as their two lines.
-
-    If so, nothing says that either is straight. `weights` are those of the fits, `limit` is what
-    the parabola's chi-square may be above the lines'. O(last - first).
-    """
-    turn = abs(wrap_scalar(a[NORMAL] - b[NORMAL]))
-    if turn > BROADEST:
-        return False
-    ax, ay, bx, by = a[MIDDLE_X], a[MIDDLE_Y], b[MIDDLE_X], b[MIDDLE_Y]
-    size = np.hypot(bx - ax, by - ay)
-    if not size > 0.0:
-        return False
-    tx, ty = (bx - ax) / size, (by - ay) / size
-    ox, oy = 0.5 * (ax + bx), 0.5 * (ay + by)
-    normal = np.zeros((3, 3))
-    right = np.zeros(3)
-    squares = 0.0
-    for q in range(first, last + 1):
-        k = q % n
-        if (label[k] == piece_a or label[k] == piece_b) and weights[k] > 0.0:
-            s = ((x[k] - ox) * tx + (y[k] - oy) * ty) / size
-            h = (y[k] - oy) * tx - (x[k] - ox) * ty
-            w = weights[k]
-            s2 = s * s
-            normal[0, 0] += w
-            normal[0, 1] += w * s
-            normal[0, 2] += w * s2
-            normal[1, 2] += w * s2 * s
-            normal[2, 2] += w * s2 * s2
-            right[0] += w * h
-            right[1] += w * h * s
-            right[2] += w * h * s2
-            squares += w * h * h
-    normal[1, 1] = normal[0, 2]
-    normal[1, 0], normal[2, 0], normal[2, 1] = normal[0, 1], normal[0, 2], normal[1, 2]
-    inverse = np.empty((3, 3))
-    if not solve3(normal, inverse):
-        return False
-    for i in range(3):
-        for j in range(3):
-            squares -= right[i] * inverse[i, j] * right[j]
-    return squares <= a[MISFIT] + b[MISFIT] + limit

@@ -14,152 +14,38 @@ a corner from noise of 6 cm.
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
-
 from fgloc.core.compiled import compiled
 from fgloc.core.measurements import Floats, Stamps
-
-STEEPEST = 20.0
-"""Largest tangent of the angle between a beam and a wall's normal that noise is adapted to."""
-SLOPE_BEAMS = 4
-"""Beams to each side that tell how obliquely a beam meets its wall."""
+from fgloc.lidar.beams import Beams
 
 
 @compiled
-def gather(
-    points: Floats,
-    valid: npt.NDArray[np.bool_],
-    turn: bool,
-    beam: Stamps,
-    x: Floats,
-    y: Floats,
-) -> int:
-    """Write the valid beams of a scan and their points in order, and return how many there are.
+def split(beams: Beams, penalty: float, clutter: float, work: Floats, before: Stamps) -> int:
+    """Write the piece of each of n beams (-1: none) into its label; return how many pieces.
 
-    A full turn begins behind the largest jump of the range, so that few walls lie across the
-    seam.
+    `work` (9, n + 1 or more) and `before` (n + 1 or more,) are scratch. O(n · candidates): those
+    are the beams of the wall at hand and few others.
     """
-    n = 0
-    for b in range(valid.size):
-        if valid[b]:
-            beam[n] = b
-            n += 1
-    start = 0
-    if turn and n > 1:
-        largest = 0.0
-        for k in range(n):
-            i, j = beam[k - 1 if k > 0 else n - 1], beam[k]
-            near = np.hypot(points[i, 0], points[i, 1])
-            far = np.hypot(points[j, 0], points[j, 1])
-            jump = abs(far - near) / min(far, near)
-            if jump > largest:
-                largest, start = jump, k
-    for k in range(n):
-        i = (k + start) % n
-        x[k], y[k] = points[beam[i], 0], points[beam[i], 1]
-    if start > 0:
-        turned = np.empty(n, np.int64)
-        for k in range(n):
-            turned[k] = beam[(k + start) % n]
-        for k in range(n):
-            beam[k] = turned[k]
-    return n
-
-
-@compiled
-def prepare(
-    n: int,
-    beam: Stamps,
-    x: Floats,
-    y: Floats,
-    beams: int,
-    noise: Floats,
-    most_missing: int,
-    r: Floats,
-    breaks: npt.NDArray[np.bool_],
-    weight: Floats,
-) -> None:
-    """Fill ranges, breaks before a beam, and the weight of 1/r of each beam.
-
-    noise = (range sigma, its share, bearing sigma, roughness). How obliquely a beam meets its
-    wall is taken from the flatter side of its neighbourhood.
-    """
-    for k in range(n):
-        r[k] = np.hypot(x[k], y[k])
-        breaks[k] = k == 0 or (beam[k] - beam[k - 1]) % beams > most_missing + 1
-    for k in range(n):
-        slope = STEEPEST
-        for side in range(2):
-            i = k
-            step = 1 if side == 0 else -1
-            for _ in range(SLOPE_BEAMS):
-                j = i + step
-                if j < 0 or j >= n or breaks[max(i, j)]:
-                    break
-                i = j
-            if i != k:
-                across = abs(x[k] * y[i] - y[k] * x[i])
-                along = abs(r[i] - r[k]) * 0.5 * (r[i] + r[k])
-                if along < slope * across:
-                    slope = along / across
-        if slope == STEEPEST and noise[2] == 0.0 and noise[3] == 0.0:
-            slope = 0.0
-        variance = (
-            noise[0] ** 2
-            + (noise[1] * r[k]) ** 2
-            + (noise[2] * r[k] * slope) ** 2
-            + noise[3] ** 2 * (1.0 + slope * slope)
-        )
-        weight[k] = r[k] ** 4 / variance
-
-
-@compiled
-def split(
-    n: int,
-    x: Floats,
-    y: Floats,
-    r: Floats,
-    breaks: npt.NDArray[np.bool_],
-    weight: Floats,
-    penalty: float,
-    clutter: float,
-    work: Floats,
-    before: Stamps,
-    label: Stamps,
-) -> int:
-    """Write the piece of each of n beams (-1: none) into `label`; return how many pieces.
-
-    `work` is (9, n + 1) and `before` (n + 1,) of scratch. O(n · candidates), a few to some dozens.
-    """
-    least, start = work[0], work[1]
-    m11, m12, m22, b1, b2, zz, so_far = (
-        work[2],
-        work[3],
-        work[4],
-        work[5],
-        work[6],
-        work[7],
-        work[8],
-    )
+    ux, uy, r, weight, label = beams.ux, beams.uy, beams.r, beams.weight, beams.label
+    n = r.size
+    least, start, so_far = work[0], work[1], work[2]
+    m11, m12, m22, b1, b2, zz = work[3], work[4], work[5], work[6], work[7], work[8]
     least[0] = 0.0
     candidates = 0
     for j in range(n):
-        if breaks[j]:
+        if beams.breaks[j]:
             candidates = 0
         start[candidates] = j
         m11[candidates] = m12[candidates] = m22[candidates] = 0.0
         b1[candidates] = b2[candidates] = zz[candidates] = 0.0
         candidates += 1
         inverse, w = 1.0 / r[j], weight[j]
-        cj, sj = x[j] * inverse, y[j] * inverse
         whole = w * inverse * inverse
         best, chosen = least[j] + clutter, -1
         for k in range(candidates):
             i = int(start[k])
             # In axes along the candidate's first beam the sums keep their digits.
-            ci, si = x[i] / r[i], y[i] / r[i]
-            c, s = cj * ci + sj * si, sj * ci - cj * si
+            c, s = ux[j] * ux[i] + uy[j] * uy[i], uy[j] * ux[i] - ux[j] * uy[i]
             m11[k] += w * c * c
             m12[k] += w * c * s
             m22[k] += w * s * s
