@@ -18,6 +18,8 @@ CLUTTER = 0.1
 """Standard deviation [m] with which points of unknown surface attract one another."""
 UNKNOWN = 10.0
 """Standard deviation [m] that a direction gets which nothing constrains."""
+SETTLED = 0.01
+"""A last step below this [m] counts as settled."""
 DOUBT = 3.0
 """By how much what noise in the normals seems to tell is taken off the information, at least as
 often as it is in it."""
@@ -241,7 +243,9 @@ def icp(
                 step[a] += vectors[a, e] * scale[a] * min(max(length, -0.5), 0.5)
         pose += step
         size = np.sqrt((step[0]) ** 2 + step[1] ** 2 + (step[2] * arm) ** 2)
-        settled = gate <= gates[1] and size < 1e-4
+        # Where pairs keep changing to and fro the step never gets small; by then it hardly matters.
+        last = iteration == iterations - 1
+        settled = gate <= gates[1] and size < (SETTLED if last else 1e-4)
         gate, spread = max(0.7 * gate, gates[1]), max(0.7 * spread, 1.0)
         if settled:
             used = iteration + 1
