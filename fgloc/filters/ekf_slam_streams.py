@@ -108,7 +108,6 @@ def wall_stream(sensor: Scans, drive: Drive, settings: EkfSlamSettings, rounding
     """
     from fgloc.lidar.lines import extract
     from fgloc.lidar.motion import scan_motion
-    from fgloc.lidar.ransac import extract_ransac
     from fgloc.lidar.scan import cloud
 
     wheels = drive.wheels.stamps_ns
@@ -119,6 +118,8 @@ def wall_stream(sensor: Scans, drive: Drive, settings: EkfSlamSettings, rounding
     if settings.extractor == "lines":
         segments = extract(straight, sensor)
     else:
+        from fgloc.lidar.ransac import extract_ransac
+
         segments = extract_ransac(straight, sensor, np.random.default_rng(settings.seed))
     kept = np.flatnonzero(inside[segments.scan]).astype(np.int64)
     scan = segments.scan[kept]
