@@ -1,8 +1,7 @@
 """Which landmark a sighting is of, and how landmarks become known and are forgotten, compiled.
 
 Landmarks in the state and landmarks that wait to be used stand in tables of the same columns
-(`ekf_slam_tables`). A row of a table of shapes ends with the landmark's place in the map [m].
-"""
+(`ekf_slam_tables`)."""
 
 from __future__ import annotations
 
@@ -19,17 +18,20 @@ from fgloc.filters.ekf_slam_tables import (
     IDENTITY,
     LANDMARKS,
     LAST,
-    LEFT,
     LIVES,
     NORMAL_X,
     NORMAL_Y,
-    RIGHT,
+    RIGHT_X,
+    RIGHT_Y,
     SIGHTINGS,
     STREAM,
     WALL,
     Codes,
 )
 from fgloc.lidar.nearest import nearest
+
+SHARE = 0.2
+"""Part of the way to a further end that a wall's end moves at a sighting."""
 
 
 @compiled
@@ -70,13 +72,14 @@ def find(
 def widen(shape: Floats, kind: int, value: Floats, normal: float, mount: Floats, x: Floats) -> None:
     """Let a landmark's shape include the piece of wall that was seen now.
 
-    `shape` (SHAPE + 2) ends with the landmark's place; `normal` is the piece's in the map.
+    `normal` is the piece's in the map. An end moves outwards by a share of what is new, so that one
+    piece that reaches too far does not make the wall longer for good.
     """
     if kind != WALL:
         return
-    if shape[NORMAL_X] == 0.0 and shape[NORMAL_Y] == 0.0:
+    fresh = shape[NORMAL_X] == 0.0 and shape[NORMAL_Y] == 0.0
+    if fresh:
         shape[NORMAL_X], shape[NORMAL_Y] = np.cos(normal), np.sin(normal)
-        shape[RIGHT], shape[LEFT] = np.inf, -np.inf
     tx, ty = -shape[NORMAL_Y], shape[NORMAL_X]
     c, s = np.cos(x[2]), np.sin(x[2])
     ox, oy = x[0] + c * mount[0] - s * mount[1], x[1] + s * mount[0] + c * mount[1]
@@ -85,9 +88,16 @@ def widen(shape: Floats, kind: int, value: Floats, normal: float, mount: Floats,
     px, py = ox + ct * value[1] - st * value[2], oy + st * value[1] + ct * value[2]
     for a in range(2):
         ex, ey = px - value[3 + a] * np.sin(normal), py + value[3 + a] * np.cos(normal)
-        along = tx * (ex - shape[4]) + ty * (ey - shape[5])
-        shape[RIGHT] = min(shape[RIGHT], along)
-        shape[LEFT] = max(shape[LEFT], along)
+        if fresh:
+            shape[RIGHT_X + 2 * a], shape[RIGHT_Y + 2 * a] = ex, ey
+            continue
+        for b in range(2):
+            # Seen from the other side, the right end is the left one: both ends are tried.
+            dx, dy = ex - shape[RIGHT_X + 2 * b], ey - shape[RIGHT_Y + 2 * b]
+            out = (tx * dx + ty * dy) * (1.0 if b == 1 else -1.0)
+            if out > 0.0:
+                shape[RIGHT_X + 2 * b] += SHARE * dx
+                shape[RIGHT_Y + 2 * b] += SHARE * dy
 
 
 @compiled

@@ -32,6 +32,8 @@ from fgloc.filters.ekf_slam_tables import (
     LIVES,
     NUMBER,
     NUMBERS,
+    PLACE_X,
+    PLACE_Y,
     POINT,
     RANGE_SHARE,
     RANGE_VARIANCE,
@@ -177,7 +179,7 @@ def run_slam(
                     status[o] = USED
                     codes[k, REFUSED] = 0
                     see(codes[k], group, lives)
-                    shapes[k, 4], shapes[k, 5] = x[j], x[j + 1]
+                    shapes[k, PLACE_X], shapes[k, PLACE_Y] = x[j], x[j + 1]
                     normal = place(x, kind, mount, values[o], point)
                     widen(shapes[k], kind, values[o], normal, mount, x)
                     continue
@@ -203,7 +205,7 @@ def run_slam(
                     part = 1.0 / (1.0 + waiting[w, SIGHTINGS])
                     for a in range(2):
                         waiting_places[w, a] += part * (point[a] - waiting_places[w, a])
-                        waiting_shapes[w, 4 + a] = waiting_places[w, a]
+                        waiting_shapes[w, PLACE_X + a] = waiting_places[w, a]
                 see(waiting[w], group, lives)
                 widen(waiting_shapes[w], kind, values[o], normal, mount, x)
                 status[o] = TOLD
@@ -219,7 +221,7 @@ def run_slam(
                     waiting[w, LIVES] = 0
                     status[o] = BORN
             for k in range(tally[LANDMARKS]):
-                shapes[k, 4], shapes[k, 5] = x[3 + 2 * k], x[4 + 2 * k]
+                shapes[k, PLACE_X], shapes[k, PLACE_Y] = x[3 + 2 * k], x[4 + 2 * k]
             sky = (streams[stream], field[stream], ranges, group_row[group], group_turn[group])
             tire(x, kind, stream, group, unseen, codes, shapes, tally[LANDMARKS], *sky)
             tire(x, kind, stream, group, unseen, waiting, waiting_shapes, tally[CANDIDATES], *sky)

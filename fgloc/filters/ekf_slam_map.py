@@ -10,13 +10,15 @@ from fgloc.filters.ekf_slam_tables import (
     BIRTHS,
     IDENTITY,
     LANDMARKS,
-    LEFT,
+    LEFT_X,
+    LEFT_Y,
     NORMAL_X,
     NORMAL_Y,
     NUMBER,
     NUMBERS,
     POINT,
-    RIGHT,
+    RIGHT_X,
+    RIGHT_Y,
     SIGHTINGS,
     STREAM,
     WALL,
@@ -72,6 +74,10 @@ def _walls(feet: Floats, covariances: Floats, codes: Codes, shapes: Floats) -> W
     unit = np.where(distance[:, None] > 1e-12, feet / safe[:, None], first)
     side = np.where(np.sum(unit * first, axis=1) >= 0.0, 1.0, -1.0)
     normal = side[:, None] * unit
+    tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
+    # The ends in the order of the first side, which is that of the normal.
+    right = np.sum((shapes[:, [RIGHT_X, RIGHT_Y]] - feet) * tangent, axis=1)
+    left = np.sum((shapes[:, [LEFT_X, LEFT_Y]] - feet) * tangent, axis=1)
     by_foot = np.empty((feet.shape[0], 2, 2))
     by_foot[:, 0, 0], by_foot[:, 0, 1] = -unit[:, 1] / safe, unit[:, 0] / safe
     by_foot[:, 1] = normal
@@ -79,7 +85,7 @@ def _walls(feet: Floats, covariances: Floats, codes: Codes, shapes: Floats) -> W
         np.arctan2(normal[:, 1], normal[:, 0]),
         np.zeros(feet.shape[0]),
         feet.copy(),
-        shapes[:, [RIGHT, LEFT]],
+        np.stack([right, left], axis=1),
         by_foot @ covariances @ np.swapaxes(by_foot, 1, 2),
         codes[:, SIGHTINGS].copy(),
     )

@@ -28,6 +28,8 @@ from fgloc.filters.ekf_slam_tables import (
     LIVES,
     NUMBER,
     NUMBERS,
+    PLACE_X,
+    PLACE_Y,
     REJECTED,
     SHAPE,
     STREAM,
@@ -68,9 +70,9 @@ class Run:
         self._field = np.zeros((len(streams), FIELD))
         self._field[:, FIELD_RIGHT], self._field[:, FIELD_LEFT] = np.inf, -np.inf
         self.codes = np.zeros((ROOM, COLUMNS), dtype=np.int64)
-        self.shapes = np.zeros((ROOM, SHAPE + 2))
+        self.shapes = np.zeros((ROOM, SHAPE))
         self._waiting = np.zeros((ROOM, COLUMNS), dtype=np.int64)
-        self._waiting_shapes = np.zeros((ROOM, SHAPE + 2))
+        self._waiting_shapes = np.zeros((ROOM, SHAPE))
         self._waiting_places = np.zeros((ROOM, 2))
         self.x, self.p = np.zeros(3 + 2 * ROOM), np.zeros((3 + 2 * ROOM, 3 + 2 * ROOM))
         self.x[:3] = start
@@ -184,7 +186,7 @@ class Run:
             self.codes[k, NUMBER] = self.tally[NUMBERS]
             self.codes[k, STREAM], self.codes[k, IDENTITY] = stream, identity
             self.codes[k, LIVES], self.codes[k, LAST] = -1, -1
-            self.shapes[k, SHAPE:] = place
+            self.shapes[k, [PLACE_X, PLACE_Y]] = place
             self.tally[LANDMARKS] += 1
             self.tally[NUMBERS] += 1
 

@@ -15,13 +15,17 @@ from fgloc.filters.ekf_slam_tables import (
     FIELD_LEFT,
     FIELD_RANGE,
     FIELD_RIGHT,
-    LEFT,
+    LEFT_X,
+    LEFT_Y,
     MAX_RANGE,
     MIN_RANGE,
     NORMAL_X,
     NORMAL_Y,
+    PLACE_X,
+    PLACE_Y,
     POINT,
-    RIGHT,
+    RIGHT_X,
+    RIGHT_Y,
 )
 
 EDGE = 0.9
@@ -47,18 +51,16 @@ def missed(
 
     A mark: within the ranges and bearings at which the sensor has seen marks so far. A wall: the
     beam towards the middle of its seen part reaches there, neither grazing nor without a return.
-    `shape` ends with the landmark's place; the scan's beams begin at `ranges[row]`, and the lidar
-    turned by `turn` [rad] since the first of them.
+    The scan's beams begin at `ranges[row]`, and the lidar turned by `turn` [rad] since the first.
     """
     z = np.empty(2)
     mount = stream[:3]
     if kind == POINT:
-        sight(x, mount, shape[4], shape[5], z)
+        sight(x, mount, shape[PLACE_X], shape[PLACE_Y], z)
         middle = 0.5 * (field[FIELD_LEFT] + field[FIELD_RIGHT])
         half = 0.5 * EDGE * (field[FIELD_LEFT] - field[FIELD_RIGHT])
         return z[0] < EDGE * field[FIELD_RANGE] and abs(wrap_scalar(z[1] - middle)) < half
-    along = 0.5 * (shape[RIGHT] + shape[LEFT])
-    px, py = shape[4] - along * shape[NORMAL_Y], shape[5] + along * shape[NORMAL_X]
+    px, py = 0.5 * (shape[RIGHT_X] + shape[LEFT_X]), 0.5 * (shape[RIGHT_Y] + shape[LEFT_Y])
     distance = sight(x, mount, px, py, z)
     if not (stream[MIN_RANGE] < distance < EDGE * stream[MAX_RANGE]):
         return False

@@ -19,9 +19,19 @@ NUMBER, STREAM, IDENTITY, SIGHTINGS, LIVES, LAST, REFUSED, COLUMNS = range(8)
 how many scans it was seen, lives left (-1: never dies), the group that saw it last, rejections in a
 row."""
 
-NORMAL_X, NORMAL_Y, RIGHT, LEFT, SHAPE = range(5)
-"""Columns of a wall's shape: its normal when it was first seen, and the part seen along the tangent
-from its foot [m]."""
+(
+    NORMAL_X,
+    NORMAL_Y,
+    RIGHT_X,
+    RIGHT_Y,
+    LEFT_X,
+    LEFT_Y,
+    PLACE_X,
+    PLACE_Y,
+    SHAPE,
+) = range(9)
+"""Columns of a landmark's shape in the map: WALL: its normal when it was first seen, the right and
+the left end of what was seen [m]; where it is taken to be, a wall's foot [m]."""
 
 (
     MOUNT_X,
