@@ -101,6 +101,14 @@ def _profile(world: World, limits: Limits, duration: float | None) -> tuple[Prof
     course = np.arctan2(legs[:, 1], legs[:, 0])
     # Corner k lies at the end of leg k.
     angles = geometry.wrap(np.roll(course, -1) - course)
+    if not world.closed:
+        angles[-1] = 0.0
+    if not limits.spins and bool(np.any(sharp := np.abs(angles) > SHARPEST)):
+        at = world.waypoints[(int(np.flatnonzero(sharp)[0]) + 1) % len(world.waypoints)]
+        raise FglocError(
+            f"world {world.name}: this robot cannot turn on the spot, as it would have to at "
+            f"({at[0]:g}, {at[1]:g}); take another robot or world"
+        )
     corners = [_corner(float(a), limits) for a in angles]
     none = Corner(0.0, 0.0, 0.0, 0.0)
     durations, twists = [REST_S], [(0.0, 0.0, 0.0)]

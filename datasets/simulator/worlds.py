@@ -193,8 +193,8 @@ def _arc(table: ArcTable) -> Floats:
         raise ValueError("centre and angles must be finite, the radius positive")
     if not 0.0 < abs(end - start) <= 2.0 * math.pi + 1e-9:
         raise ValueError("an arc is up to 360 degrees long")
-    # The middle of a chord over an angle a is r·(1 - cos(a/2)) inside the circle.
-    largest = 2.0 * math.acos(max(1.0 - SAGITTA_M / table.radius, 0.0))
+    # The middle of a chord over an angle a is r·(1 - cos(a/2)), at most r·a²/8, inside the circle.
+    largest = min(math.sqrt(8.0 * SAGITTA_M / table.radius), math.pi / 4.0)
     count = math.ceil(abs(end - start) / largest)
     if count > MOST_PIECES:
         raise ValueError("the radius is too large for an arc; write a straight wall")
