@@ -111,10 +111,22 @@ def refine(piece: int, before: int, after: int, rules: Rules, beams: Beams, piec
 
 @compiled
 def _explained(k: int, piece: int, other: int, rules: Rules, beams: Beams, pieces: Pieces) -> bool:
-    """Return whether beam k is not the piece's, or near enough to the line of another."""
+    """Return whether beam k is not the piece's, or meets it too near to the line of another.
+
+    Where the beam meets the piece's line is asked, not where it ended, so that the answer does
+    not depend on its error.
+    """
     if beams.label[k] != piece:
         return True
-    return abs(off(pieces.fits[other], k, rules, beams)) < AMBIGUOUS
+    own, next_wall = pieces.fits[piece], pieces.fits[other]
+    ux, uy = beams.ux[k], beams.uy[k]
+    nx, ny = np.cos(own[NORMAL]), np.sin(own[NORMAL])
+    cosine = max(-(nx * ux + ny * uy), FLATTEST)
+    r = -(nx * own[MIDDLE_X] + ny * own[MIDDLE_Y]) / cosine
+    nx, ny = np.cos(next_wall[NORMAL]), np.sin(next_wall[NORMAL])
+    h = nx * (r * ux - next_wall[MIDDLE_X]) + ny * (r * uy - next_wall[MIDDLE_Y])
+    cosine = max(-(nx * ux + ny * uy), FLATTEST)
+    return h * h < AMBIGUOUS * AMBIGUOUS * across_variance(rules, r, cosine)
 
 
 @compiled
