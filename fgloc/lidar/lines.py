@@ -148,7 +148,7 @@ def _extract(
     """Fill segments scan by scan until the room may not do; return the next scan and the count."""
     size = rules.beams
     space = room(size)
-    work, before, keep = np.empty((9, size + 1)), np.empty(size + 1, np.int64), np.empty(size)
+    work, before, keep = np.empty((12, size + 1)), np.empty(size + 1, np.int64), np.empty(size)
     pieces = Pieces(
         np.empty(size, np.int64),
         np.empty(size, np.int64),
