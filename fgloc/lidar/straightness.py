@@ -22,7 +22,7 @@ from fgloc.lidar.fitting import (
     across_variance,
     fit_line,
 )
-from fgloc.lidar.merging import Pieces
+from fgloc.lidar.merging import Pieces, passes
 
 BROADEST = np.radians(45.0)
 """Neighbours that meet at a larger angle are a corner, not chords of a curve."""
@@ -46,6 +46,7 @@ def neighbour(q: int, side: int, left: int, rules: Rules, beams: Beams, pieces: 
     """Return the piece that touches the q-th at its end (side 1) or beginning (-1); -1 if none.
 
     Two pieces touch if they come one after the other and are no farther apart than beams are.
+    Pieces on both sides of an opening that beams pass do not touch.
     """
     if left < 2 or (not rules.turn and not 0 <= q + side < left):
         return -1
@@ -61,7 +62,10 @@ def neighbour(q: int, side: int, left: int, rules: Rules, beams: Beams, pieces: 
         fit = pieces.fits[c]
         spacing += (fit[LEFT] - fit[RIGHT]) / max(fit[BEAMS] - 1.0, 1.0)
     apart = np.hypot(beams.x[i] - beams.x[j], beams.y[i] - beams.y[j])
-    return other if apart <= 2.0 * spacing else -1
+    if apart > 2.0 * spacing:
+        return -1
+    passed = passes(pieces.fits[a], pieces.last[a] + 1, begin - 1, rules, beams)
+    return -1 if passed else other
 
 
 @compiled
