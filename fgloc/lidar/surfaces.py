@@ -143,7 +143,7 @@ def surfaces(points: Floats, valid: Mask, scans: Scans) -> list[ScanPoints]:
     """Return every scan's points with their normals, in the axes of `points`.
 
     `points` (N, B, 2) [m] in each lidar's axes in beam order and `valid` (N, B), as a `Cloud` has
-    them; `scans` tells the noise. Points beyond 40 m are left out. O(N·B), about 20 µs a scan.
+    them; `scans` tells the noise. Points beyond 40 m are left out. O(N·B), about 0.2 ms a scan.
     FglocError where the shapes differ.
     """
     if points.shape != (*valid.shape, 2) or valid.shape != scans.ranges.shape:
@@ -172,32 +172,44 @@ def surfaces(points: Floats, valid: Mask, scans: Scans) -> list[ScanPoints]:
 
 
 @compiled
-def _first_of_cell(keys: npt.NDArray[np.int64], order: npt.NDArray[np.int64], keep: Mask) -> None:
-    """Mark the first point of every run of equal keys, in the order given."""
-    last = np.int64(-1)
-    for k in order:
-        if keys[k] != last:
-            keep[k] = True
-            last = keys[k]
+def _best_of_cells(points: Floats, normals: Floats, tilt: Floats, size: float, keep: Mask) -> None:
+    """Mark the point of every cell and side whose normal is known best; unknown ones come last."""
+    n = points.shape[0]
+    slots = 16
+    while slots < 3 * n:
+        slots *= 2
+    table = np.full(slots, -1, np.int64)
+    keys = np.empty((n, 3), np.int64)
+    for p in range(n):
+        keys[p, 0] = int(np.floor(points[p, 0] / size))
+        keys[p, 1] = int(np.floor(points[p, 1] / size))
+        nx, ny = normals[p, 0], normals[p, 1]
+        keys[p, 2] = -1
+        if nx != 0.0 or ny != 0.0:
+            keys[p, 2] = int(np.floor(np.arctan2(ny, nx) / (0.5 * np.pi))) + 2
+        slot = (keys[p, 0] * 73856093 ^ keys[p, 1] * 19349663 ^ keys[p, 2] * 83492791) & (slots - 1)
+        while True:
+            q = table[slot]
+            if q < 0:
+                table[slot] = p
+                keep[p] = True
+                break
+            if keys[q, 0] == keys[p, 0] and keys[q, 1] == keys[p, 1] and keys[q, 2] == keys[p, 2]:
+                if tilt[p] < tilt[q]:
+                    keep[q] = False
+                    table[slot] = p
+                    keep[p] = True
+                break
+            slot = (slot + 1) & (slots - 1)
 
 
 def thin(scan: ScanPoints, size: float) -> ScanPoints:
     """Return at most one point for every square of `size` [m] and quarter of normal directions.
 
-    The one whose normal is known best stays. Front and back of a thin wall are kept apart.
-    O(P log P).
+    The one whose normal is known best stays. Front and back of a thin wall are kept apart. O(P).
     """
-    if scan.size == 0:
-        return scan
-    cell = np.floor(scan.points / size).astype(np.int64)
-    cell -= cell.min(axis=0)
-    known = np.any(scan.normals != 0.0, axis=1)
-    quarter = np.floor(np.arctan2(scan.normals[:, 1], scan.normals[:, 0]) / (np.pi / 2.0))
-    side = np.where(known, quarter.astype(np.int64) + 2, 5)
-    keys = (cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1]) * 6 + side
-    order = np.lexsort((np.where(known, scan.tilt, np.inf), keys))
     keep = np.zeros(scan.size, bool)
-    _first_of_cell(keys, order, keep)
+    _best_of_cells(scan.points, scan.normals, scan.tilt, size, keep)
     return scan.select(keep)
 
 
