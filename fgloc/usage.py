@@ -8,7 +8,7 @@ from pathlib import Path
 from fgloc import __version__
 from fgloc.argument_types import count, fixes, json_file, lag, positive, seed, trajectory_file
 
-METHODS = "model1,model2,model3,pose-ekf,rl-ekf,batch,online"
+METHODS = "model1,model2,model3,pose-ekf,rl-ekf,ekf-slam,batch,online"
 """Methods compared unless others are asked for: all available ones (a test holds this to it)."""
 INTEGRATORS = ("exact", "midpoint", "euler")
 """Steps of Model 1; `fgloc.core.geometry.INTEGRATORS`, which cannot be imported without numpy."""
