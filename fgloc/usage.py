@@ -48,11 +48,13 @@ def _smooth(commands: Commands[argparse.ArgumentParser]) -> None:
         "smooth",
         "estimate the trajectory of one drive, and calibrate",
         "fgloc smooth run.log --save track.tum",
+        "fgloc smooth csail:0 --map csail-map",
         "fgloc smooth 'optiodom:diff/circular/250620202251/01' --fixes 10:0.002 --out runs",
     )
     parser.add_argument("drive", metavar="DRIVE", help=DRIVE)
     _fix_options(parser)
     _save_option(parser)
+    _map_options(parser)
     _robot_option(parser)
     _selection_option(parser)
     _topics_option(parser)
@@ -105,6 +107,7 @@ def _localise(commands: Commands[argparse.ArgumentParser]) -> None:
     )
     _fix_options(parser)
     _save_option(parser)
+    _map_options(parser)
     _robot_option(parser)
     _selection_option(parser)
     _topics_option(parser)
@@ -143,6 +146,7 @@ def _compare(commands: Commands[argparse.ArgumentParser]) -> None:
     _selection_option(parser)
     _topics_option(parser)
     _common(parser, "data", "json", "out")
+    parser.set_defaults(map=None, map_resolution=None)
 
 
 def _simulate(commands: Commands[argparse.ArgumentParser]) -> None:
@@ -276,6 +280,26 @@ def _save_option(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         type=trajectory_file,
         help="write the trajectory; .tum, .kitti, .g2o or .npz",
+    )
+
+
+def _map_options(parser: argparse.ArgumentParser) -> None:
+    """Add --map and --map-resolution."""
+    parser.add_argument(
+        "--map",
+        metavar="DIR",
+        type=Path,
+        nargs="?",
+        const=True,
+        help="write the map (PNG, SVG, GeoJSON; of scans also PLY, PGM and YAML) into DIR "
+        "(default: the run folder of --out, else ./map)",
+    )
+    parser.add_argument(
+        "--map-resolution",
+        metavar="M",
+        type=positive,
+        default=0.05,
+        help="side of a cell of the map's occupancy grid in metres (default: 0.05)",
     )
 
 
