@@ -6,7 +6,16 @@ import argparse
 from pathlib import Path
 
 from fgloc import __version__
-from fgloc.argument_types import count, fixes, json_file, lag, positive, seed, trajectory_file
+from fgloc.argument_types import (
+    count,
+    fixes,
+    json_file,
+    lag,
+    positive,
+    recording_file,
+    seed,
+    trajectory_file,
+)
 
 METHODS = "model1,model2,model3,pose-ekf,rl-ekf,batch,online"
 """Methods compared unless others are asked for: all available ones (a test holds this to it)."""
@@ -34,6 +43,7 @@ def build_parser() -> argparse.ArgumentParser:
     _simulate(commands)
     _datasets(commands)
     _experiments(commands)
+    _view(commands)
     _doctor(commands)
     return parser
 
@@ -229,6 +239,39 @@ def _experiments(commands: Commands[argparse.ArgumentParser]) -> None:
         help="worker processes; results do not depend on it (default: 2)",
     )
     _common(run, "data", "json", "out")
+
+
+def _view(commands: Commands[argparse.ArgumentParser]) -> None:
+    """Add `fgloc view`."""
+    parser = _command(
+        commands,
+        "view",
+        "show an estimate over time: scans, walls, path, truth",
+        "fgloc view csail:0",
+        "fgloc view sim:demo --method online --html demo.html",
+    )
+    parser.add_argument("drive", metavar="DRIVE", help=DRIVE)
+    parser.add_argument(
+        "--method", metavar="ID", default="batch", help="method to show (default: batch)"
+    )
+    parser.add_argument(
+        "--save",
+        metavar="FILE",
+        type=recording_file,
+        help="write a recording (.rrd) for the rerun viewer instead of opening its window",
+    )
+    parser.add_argument(
+        "--html",
+        metavar="FILE",
+        type=Path,
+        help="write a page with a time slider for any browser; needs nothing installed",
+    )
+    _fix_options(parser)
+    _robot_option(parser)
+    _selection_option(parser)
+    _topics_option(parser)
+    _common(parser, "data")
+    parser.set_defaults(map=None, map_resolution=None)
 
 
 def _doctor(commands: Commands[argparse.ArgumentParser]) -> None:

@@ -30,6 +30,26 @@ def enlarged(text: str, times: int) -> str:
     return text + (f" (drawn {times}× as large)" if times > 1 else "")
 
 
+def ellipse_axes(covariances: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return half axes [m] of 95 % ellipses, the long and the short one, and where the long points.
+
+    `covariances` are (..., 2, 2) of x, y; the direction [rad] is counter-clockwise from x.
+    """
+    values, vectors = np.linalg.eigh(covariances)
+    half = SIGMAS_95 * np.sqrt(np.maximum(values, 0.0))
+    return half[..., 1], half[..., 0], np.arctan2(vectors[..., 1, 1], vectors[..., 0, 1])
+
+
+def ellipse_outlines(positions: Floats, covariances: Floats, corners: int = 32) -> Floats:
+    """Return (N, corners + 1, 2) closed outlines of 95 % ellipses in map axes [m], in true size."""
+    long, short, angle = (a[:, None] for a in ellipse_axes(covariances))
+    turn = np.linspace(0.0, 2.0 * np.pi, corners + 1)
+    u, v = long * np.cos(turn), short * np.sin(turn)
+    x = positions[:, :1] + np.cos(angle) * u - np.sin(angle) * v
+    y = positions[:, 1:] + np.sin(angle) * u + np.cos(angle) * v
+    return np.stack([x, y], axis=-1)
+
+
 def draw_ellipses(
     axes: Axes, positions: Floats, covariances: Floats, wanted: float, shade: str, label: str
 ) -> None:
@@ -40,15 +60,13 @@ def draw_ellipses(
     """
     from matplotlib.collections import EllipseCollection
 
-    values, vectors = np.linalg.eigh(covariances)
-    full = 2.0 * SIGMAS_95 * np.sqrt(np.maximum(values, 0.0))
-    times = magnification(float(np.median(full[:, 1])), wanted)
-    angles = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
+    long, short, angle = ellipse_axes(covariances)
+    times = magnification(2.0 * float(np.median(long)), wanted)
     axes.add_collection(
         EllipseCollection(
-            times * full[:, 1],
-            times * full[:, 0],
-            angles,
+            2.0 * times * long,
+            2.0 * times * short,
+            np.degrees(angle),
             units="xy",
             offsets=positions,
             offset_transform=axes.transData,

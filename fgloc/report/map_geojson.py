@@ -19,7 +19,7 @@ from fgloc.core.measurements import Floats
 from fgloc.core.trajectory import Trajectory
 from fgloc.estimator import Result
 from fgloc.lidar.walls import Marks, Walls
-from fgloc.report.ellipses import SIGMAS_95
+from fgloc.report.ellipses import ellipse_axes
 from fgloc.report.map_figure import base_truth, surveyed
 from fgloc.report.map_walls import wall_lengths, wall_sigmas
 
@@ -91,10 +91,9 @@ def _marks(marks: Marks, known: dict[int, tuple[float, float]]) -> list[dict[str
     for k, name in enumerate(marks.landmark.tolist()):
         sigma: tuple[float | None, float | None, float | None] = (None, None, None)
         if np.isfinite(marks.covariance[k]).all():
-            values, vectors = np.linalg.eigh(marks.covariance[k])
-            minor, major = SIGMAS_95 * np.sqrt(np.maximum(values, 0.0))
-            angle = math.degrees(math.atan2(vectors[1, 1], vectors[0, 1])) % 180.0
-            sigma = (_number(major, 6), _number(minor, 6), _number(angle, DIGITS))
+            long, short, angle = (float(v) for v in ellipse_axes(marks.covariance[k]))
+            direction = math.degrees(angle) % 180.0
+            sigma = (_number(long, 6), _number(short, 6), _number(direction, DIGITS))
         features.append(
             _feature(
                 f"mark-{name}",

@@ -60,9 +60,7 @@ def room_scans(scans: int = 20, *, period: float = PERIOD) -> Scans:
     lidar = compose(poses_at(stamps[:, None] * 1e-9 + period * beams), np.array(MOUNT))
     directions = -np.pi + 2.0 * np.pi * beams / BEAMS
     ranges = to_walls(lidar, directions)
-    return Scans(
-        "lidar", stamps, ranges, -np.pi, 2.0 * np.pi / BEAMS, period, MOUNT, max_range=8.0
-    )
+    return Scans("lidar", stamps, ranges, -np.pi, 2.0 * np.pi / BEAMS, period, MOUNT, max_range=8.0)
 
 
 def trajectory(end_s: float = 4.0) -> Trajectory:

@@ -149,9 +149,7 @@ def test_standing_robot_and_huge_coordinates() -> None:
     # A map far from its origin, as with coordinates of a survey.
     here = np.array([4.5e5, 5.4e6, 0.0])
     scans = room_scans(1, period=0.0)
-    placed = place_scans(
-        scans, Trajectory(np.zeros(1, np.int64), here[None]), (0.0, 0.0, 0.0)
-    )
+    placed = place_scans(scans, Trajectory(np.zeros(1, np.int64), here[None]), (0.0, 0.0, 0.0))
     grid = occupancy_grid([placed])
     assert grid.log_odds.size < 200 * 200
     assert np.count_nonzero(grid.log_odds > 0.0) > 200
