@@ -44,10 +44,12 @@ def draw_map(
     marks = None if result.map is None else result.map.marks
     truth = base_truth(result, drive)
     path = result.trajectory.poses[:, :2]
+    places = np.array([*surveyed(drive).values()]).reshape(-1, 2)
     everything = np.concatenate(
         [
             path,
             _most(points),
+            places,
             *([] if walls is None else [walls.ends.reshape(-1, 2)]),
             *([] if marks is None else [marks.positions]),
             *([] if truth is None else [truth.poses[:, :2]]),
@@ -73,7 +75,9 @@ def draw_map(
     if walls is not None and walls.normal.size:
         _draw_walls(axes, walls, extent)
     if marks is not None and marks.landmark.size:
-        _draw_marks(axes, marks, drive, extent)
+        _draw_marks(axes, marks, extent)
+    if places.shape[0]:
+        axes.plot(*places.T, "+", color=TRUTH, ms=10, mew=1.2, label="surveyed", zorder=2.9)
     axes.set(title=drive.name, xlabel="x [m]", ylabel="y [m]")
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.set_aspect("equal", adjustable="box")
@@ -134,12 +138,8 @@ def _draw_walls(axes: Axes, walls: Walls, extent: float) -> None:
     axes.plot([], [], "s", mfc=(WALL, 0.22), mec="none", ms=10, label=label)
 
 
-def _draw_marks(axes: Axes, marks: Marks, drive: Drive, extent: float) -> None:
-    """Draw point landmarks with names, their ellipses, and where they were surveyed to be."""
-    known = surveyed(drive)
-    if known:
-        places = np.array(list(known.values()))
-        axes.plot(*places.T, "+", color=TRUTH, ms=10, mew=1.2, label="surveyed", zorder=2.9)
+def _draw_marks(axes: Axes, marks: Marks, extent: float) -> None:
+    """Draw point landmarks with names and their ellipses."""
     axes.plot(*marks.positions.T, ".", color=MARK, ms=6, label="landmarks", zorder=3.1)
     for name, (x, y) in zip(marks.landmark, marks.positions, strict=True):
         axes.annotate(str(name), (x, y), (4, 4), textcoords="offset points", fontsize=7, color=MARK)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,7 @@ from fgloc.core.geometry import between, compose, exp, log
 from fgloc.core.measurements import Floats, Scans, Stamps
 from fgloc.core.trajectory import Trajectory
 from fgloc.estimator import Result
+from fgloc.lidar.scan import cloud
 from fgloc.report.outcomes import calibrated_mount
 
 Mask = npt.NDArray[np.bool_]
@@ -64,23 +65,23 @@ def place_scans(scans: Scans, trajectory: Trajectory, mount: tuple[float, ...]) 
     later, known_later = interpolate_trajectory(path, end)
     chosen = np.flatnonzero(known & known_later)
     poses, later = poses[chosen], later[chosen]
-    ranges = scans.ranges[chosen]
-    valid = np.isfinite(ranges) & (ranges > 0.0)
-    valid &= (ranges >= scans.min_range) & (ranges < scans.max_range)
-    along = np.arange(beams) / beams
-    at = compose(poses[:, None], exp(log(between(poses, later))[:, None] * along[:, None]))
-    direction = at[..., 2] + scans.angle_min + scans.angle_increment * np.arange(beams)
-    reach = np.where(valid, ranges, 0.0)
-    ray = np.stack([np.cos(direction), np.sin(direction)], axis=-1)
-    origins = np.ascontiguousarray(at[..., :2])
+    motion = log(between(poses, later))
+    own = replace(scans, stamps_ns=begin[chosen], ranges=scans.ranges[chosen])
+    seen = cloud(own, motion)
+    c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
+    along, across = seen.points[..., 0], seen.points[..., 1]
+    points = np.stack([c * along - s * across, s * along + c * across], axis=-1)
+    points += poses[:, None, :2]
+    share = np.arange(beams) / max(beams, 1)
+    origins = compose(poses[:, None], exp(motion[:, None] * share[:, None]))[..., :2]
     return PlacedScans(
         scans.sensor,
         chosen.astype(np.int64),
         begin[chosen],
         poses,
-        origins,
-        origins + reach[..., None] * ray,
-        valid,
+        np.ascontiguousarray(origins),
+        points,
+        seen.valid,
         int(begin.size - chosen.size),
     )
 
