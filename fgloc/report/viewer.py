@@ -109,15 +109,10 @@ def _still(rerun: Any, stream: Any, scene: Scene) -> None:
         colours = [wall_colour(k) for k in range(walls.normal.size)]
         names = [f"wall {k}, seen {n} times" for k, n in enumerate(walls.sightings.tolist())]
         lines("walls", list(walls.ends), colours, 2.0, labels=names, show_labels=False)
-        known = np.isfinite(walls.covariance).all(axis=(1, 2))
-        bands = wall_bands(walls)
-        closed = np.concatenate([bands, bands[:, :1]], axis=1)[known]
-        lines(
-            "walls/2_sigma",
-            list(closed),
-            [c for c, k in zip(colours, known, strict=True) if k],
-            0.5,
-        )
+        known = np.flatnonzero(np.isfinite(walls.covariance).all(axis=(1, 2)))
+        bands = wall_bands(walls)[known]
+        closed = np.concatenate([bands, bands[:, :1]], axis=1)
+        lines("walls/2_sigma", list(closed), [colours[k] for k in known.tolist()], 0.5)
     _landmarks(rerun, stream, scene, lines)
 
 
