@@ -48,7 +48,7 @@ def draw_map(
     everything = np.concatenate(
         [
             path,
-            _most(points),
+            most_points(points),
             places,
             *([] if walls is None else [walls.ends.reshape(-1, 2)]),
             *([] if marks is None else [marks.positions]),
@@ -109,7 +109,7 @@ def surveyed(drive: Drive) -> dict[int, tuple[float, float]]:
     }
 
 
-def _most(points: Floats) -> Floats:
+def most_points(points: Floats) -> Floats:
     """Return (0, 2) or (2, 2) corners of a box around nearly all points.
 
     A beam that escapes through a window would shrink everything else.

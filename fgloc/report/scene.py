@@ -15,7 +15,7 @@ from fgloc.core.measurements import Floats, Stamps
 from fgloc.core.trajectory import Trajectory
 from fgloc.estimator import Result, WheelSlip
 from fgloc.lidar.walls import Map, Marks, Walls
-from fgloc.report.map_figure import base_truth, surveyed
+from fgloc.report.map_figure import base_truth, most_points, surveyed
 from fgloc.report.map_points import PlacedScans, placed_scans
 
 Colour = tuple[int, int, int]
@@ -72,6 +72,19 @@ class Scene:
         if self.truth is None:
             return np.full((stamps_ns.size, 3), np.nan), np.zeros(stamps_ns.size, np.bool_)
         return interpolate_trajectory(self.truth, stamps_ns)
+
+    def box(self, points: Floats) -> Floats:
+        """Return (2, 2) lowest and highest x, y [m] of what should be seen at first.
+
+        That is the paths, the landmarks and nearly all of the (K, 2) scan points.
+        """
+        inside = [self.trajectory.poses[:, :2], most_points(points)]
+        if self.truth is not None:
+            inside.append(self.truth.poses[:, :2])
+        if self.marks is not None:
+            inside.append(self.marks.positions)
+        everything = np.concatenate(inside)
+        return np.stack([everything.min(axis=0) - 0.5, everything.max(axis=0) + 0.5])
 
 
 def make_scene(result: Result, drive: Drive) -> Scene:

@@ -22,8 +22,6 @@ MOST_SCANS = 1000
 """Scans of a lidar that the page holds, some kilobytes each."""
 MOST_POSES = 5000
 """Poses of a path that the page holds."""
-STRAY = 0.003
-"""This share of the points at each side may lie outside what is shown at first."""
 
 
 def save_page(scene: Scene, path: Path) -> Path:
@@ -68,7 +66,7 @@ def page_scene(scene: Scene) -> dict[str, Any]:
         "begin": float(seconds[0]),
         "end": float(seconds[-1]),
         "origin_m": origin.tolist(),
-        "box": _box(scene, points, origin),
+        "box": _mm(scene.box(points), origin),
         "points": _mm(points, origin),
         "lidars": [_lidar(scene, k, origin) for k in range(len(scene.scans))],
         "walls": _walls(scene, origin),
@@ -100,19 +98,6 @@ def _mm(points: Floats, origin: Floats) -> list[int]:
 def _hex(wall: int) -> str:
     """Return a wall's colour as browsers read it."""
     return "#{:02x}{:02x}{:02x}".format(*wall_colour(wall))
-
-
-def _box(scene: Scene, points: Floats, origin: Floats) -> list[int]:
-    """Return the corners of what is shown at first: the path, and nearly all points."""
-    inside = [scene.trajectory.poses[:, :2]]
-    if points.shape[0]:
-        inside.append(np.quantile(points, (STRAY, 1.0 - STRAY), axis=0))
-    if scene.truth is not None:
-        inside.append(scene.truth.poses[:, :2])
-    if scene.marks is not None:
-        inside.append(scene.marks.positions)
-    everything = np.concatenate(inside)
-    return _mm(np.stack([everything.min(axis=0) - 0.5, everything.max(axis=0) + 0.5]), origin)
 
 
 def _lidar(scene: Scene, number: int, origin: Floats) -> dict[str, Any]:

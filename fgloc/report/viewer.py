@@ -33,8 +33,9 @@ def save_recording(scene: Scene, path: Path) -> Path:
     rerun = import_rerun()
     stream = rerun.RecordingStream("fgloc", recording_id=f"{scene.drive} {scene.method}")
     with atomic_path(path) as temporary:
-        stream.save(str(temporary), default_blueprint=_blueprint(rerun, scene))
-        _log(rerun, stream, scene)
+        points = thin(all_points(scene.scans))
+        stream.save(str(temporary), default_blueprint=_blueprint(rerun, scene, points))
+        _log(rerun, stream, scene, points)
         stream.flush()
         # Closes the file; what is logged afterwards goes nowhere.
         stream.disconnect()
@@ -48,32 +49,41 @@ def show(scene: Scene) -> None:
     """
     rerun = import_rerun()
     stream = rerun.RecordingStream("fgloc", recording_id=f"{scene.drive} {scene.method}")
-    stream.spawn(default_blueprint=_blueprint(rerun, scene))
-    _log(rerun, stream, scene)
+    points = thin(all_points(scene.scans))
+    stream.spawn(default_blueprint=_blueprint(rerun, scene, points))
+    _log(rerun, stream, scene, points)
     stream.flush()
 
 
-def _blueprint(rerun: Any, scene: Scene) -> Any:
+def _blueprint(rerun: Any, scene: Scene, points: Floats) -> Any:
     """Return how the viewer is laid out: the map, below it what is a number over time."""
     views = rerun.blueprint
+    low, high = scene.box(points)
+    x, y = 0.5 * (low + high)
+    # From above, x to the right; not quite, since straight down nothing would be up.
+    height = 1.1 * max(float(high[1] - low[1]), 0.5 * float(high[0] - low[0]))
+    eye = views.EyeControls3D(position=[x, y - 0.05 * height, height], look_target=[x, y, 0.0])
     series = [views.TimeSeriesView(origin="sigma", name="standard deviations")]
     if scene.slips:
         series.append(views.TimeSeriesView(origin="slip", name="wheel slip"))
     return views.Blueprint(
         views.Vertical(
             # In a plane view y would point down.
-            views.Spatial3DView(origin="map", name=f"{scene.drive}: {scene.method}"),
+            views.Spatial3DView(
+                origin="map", name=f"{scene.drive}: {scene.method}", eye_controls=eye
+            ),
             views.Horizontal(*series),
             row_shares=[4, 1],
         ),
         views.TimePanel(timeline=TIMELINE),
+        collapse_panels=True,
     )
 
 
-def _log(rerun: Any, stream: Any, scene: Scene) -> None:
+def _log(rerun: Any, stream: Any, scene: Scene, points: Floats) -> None:
     """Log the scene, what does not change first."""
     stream.log("map", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    _still(rerun, stream, scene)
+    _still(rerun, stream, scene, points)
     for scans in scene.scans:
         _scans(rerun, stream, scene, scans)
     if scene.segments is not None:
@@ -82,7 +92,7 @@ def _log(rerun: Any, stream: Any, scene: Scene) -> None:
     _slips(rerun, stream, scene)
 
 
-def _still(rerun: Any, stream: Any, scene: Scene) -> None:
+def _still(rerun: Any, stream: Any, scene: Scene, points: Floats) -> None:
     """Log the paths, the thinned points of all scans, walls with their bands, and landmarks."""
 
     def lines(name: str, strips: Sequence[Floats], colours: Any, width: float, **more: Any) -> None:
@@ -97,7 +107,6 @@ def _still(rerun: Any, stream: Any, scene: Scene) -> None:
     lines("path", [scene.trajectory.poses[:, :2]], PATH, 1.0)
     if scene.truth is not None:
         lines("truth", [scene.truth.poses[:, :2]], TRUTH, 1.0)
-    points = thin(all_points(scene.scans))
     if points.shape[0]:
         stream.log(
             "map/points",
