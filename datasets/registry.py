@@ -11,9 +11,10 @@ import re
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fgloc.core.drive import Drive
-from fgloc.datasets import jaguar, jaguar_lines, own_csv, own_format
+from fgloc.datasets import carmen, carmen_lines, jaguar, jaguar_lines, own_csv, own_format
 from fgloc.datasets.catalogue import DATASETS as DATASETS
 from fgloc.datasets.catalogue import Dataset
 from fgloc.datasets.plausible import check_plausible
@@ -24,6 +25,9 @@ from fgloc.io.bags import MAGIC as BAG_MAGIC
 from fgloc.io.bags import SUFFIXES as BAG_SUFFIXES
 from fgloc.io.bags import is_bag
 from fgloc.io.topics import TopicMap, load_topics
+
+if TYPE_CHECKING:
+    from fgloc.datasets.simulator.worlds import World
 
 SIMULATED = "sim"
 """Prefix of drives that are made, not read: `sim:NAME?seed=1&key=value`."""
@@ -161,6 +165,19 @@ def load_with_topics(
     return drive, used
 
 
+def world_of(drive_id: str) -> World | None:
+    """Return the walls that a simulated drive's lidar saw, in the axes of its truth.
+
+    None for a drive without a world. Raises FglocError for a simulated drive that does not exist.
+    """
+    name, _, run = drive_id.partition(":")
+    if not is_dataset_id(drive_id) or name != SIMULATED:
+        return None
+    from fgloc.datasets.simulator.drives import load_sim_world
+
+    return load_sim_world(run)
+
+
 def _semi_real(drive_id: str) -> tuple[str, str] | None:
     """Return the recorded drive and the query of `semi:DRIVE?query`; None for any other id."""
     head, _, rest = drive_id.partition(":")
@@ -223,11 +240,14 @@ def _load_path(path: Path, name: str, given: TopicMap | None) -> Drive | BagDriv
         return own_csv.read_csv(path, name)
     if any(jaguar_lines.looks_like(line) for line in head):
         return jaguar.load(path, name)
+    if any(carmen_lines.looks_like(line) for line in head):
+        return carmen.load(path, name)
     if not data.strip():
         raise FglocError("the file is empty; record or download it again", file=path)
     raise FglocError(
         "the format is not known; readable are npz and CSV files of fgloc "
-        f"(first line {own_csv.MAGIC!r}), ROS bags ({', '.join(BAG_SUFFIXES)}), Jaguar text logs",
+        f"(first line {own_csv.MAGIC!r}), ROS bags ({', '.join(BAG_SUFFIXES)}), Jaguar, CARMEN "
+        "and gfs logs",
         file=path,
     )
 

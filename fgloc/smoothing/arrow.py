@@ -11,7 +11,7 @@ the rounding of a Cholesky factor. O(K·(B+G)²·B) in time, O(K·B·(B+G)) in m
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -67,6 +67,10 @@ class ArrowSolution:
     """(K, B, B) marginal covariances of the keyframes in their own axes."""
     calibration_covariance: Floats | None = None
     """(G, G) marginal covariance of the calibration."""
+    landmark_step: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+    """(L, 2) landmark steps; none in a chain."""
+    landmark_covariance: Floats | None = None
+    """(L, 2, 2) marginal covariances of the landmarks."""
 
 
 def stack(
@@ -78,11 +82,11 @@ def stack(
     """Return the rows of linearised tables with their robust weights (M,), sorted by keyframe.
 
     `prior` (P, G + 1) are rows on the calibration alone. Raises FglocError for factors that see
-    landmarks: they make the graph more than a chain, which is for `smoothing.isam`. O(N).
+    landmarks or join keyframes far apart: see `smoothing.network` and `smoothing.isam`. O(N).
     """
     for table, _, _ in linear:
-        if table.sees_landmarks:
-            raise FglocError(f"{table.sensor}: landmarks do not fit into a chain")
+        if table.links:
+            raise FglocError(f"{table.sensor}: landmarks and matches do not fit into a chain")
     g = prior.shape[1] - 1
     count = np.zeros(keyframes, dtype=np.int64)
     for table, _, _ in linear:
