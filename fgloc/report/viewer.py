@@ -107,6 +107,8 @@ def _still(rerun: Any, stream: Any, scene: Scene, points: Floats) -> None:
     lines("path", [scene.trajectory.poses[:, :2]], PATH, 1.0)
     if scene.truth is not None:
         lines("truth", [scene.truth.poses[:, :2]], TRUTH, 1.0)
+    if scene.true_walls.shape[0]:
+        lines("true_walls", list(scene.true_walls), TRUTH, 0.6)
     if points.shape[0]:
         stream.log(
             "map/points",
