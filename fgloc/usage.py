@@ -19,7 +19,7 @@ from fgloc.usage_options import (
     topics_option,
 )
 
-METHODS = "model1,model2,model3,pose-ekf,rl-ekf,batch,online"
+METHODS = "model1,model2,model3,pose-ekf,rl-ekf,ekf-slam,batch,online"
 """Methods compared unless others are asked for: all available ones (a test holds this to it)."""
 INTEGRATORS = ("exact", "midpoint", "euler")
 """Steps of Model 1; `fgloc.core.geometry.INTEGRATORS`, which cannot be imported without numpy."""

@@ -28,6 +28,8 @@ class ChainSettings:
     """… or turned this far [rad] since the last one that did."""
     cell: float = 0.05
     """The map keeps one point in a square of this side [m]."""
+    near: float = 12.0
+    """Points up to this distance [m] count in the correlation that comes before the matching."""
     least_overlap: float = 0.25
     """A match with a smaller share of paired points is not believed: the guess stands in."""
     matching: MatchSettings = MatchSettings()
@@ -87,8 +89,11 @@ def _to_map(
     local: ScanPoints, scan: ScanPoints, guess: Floats, sigma: Floats, settings: ChainSettings
 ) -> Match | None:
     """Return where a scan is in the map around it; None where it cannot be told."""
-    coarse = thin(scan, 0.15)
-    likelihood = field(local)
+    near = np.hypot(scan.points[:, 0], scan.points[:, 1]) < settings.near
+    coarse = thin(scan.select(near), 0.15)
+    # Points far off say little of where the scan is that near ones do not, and cost a wide grid.
+    around = np.hypot(*(local.points - guess[:2]).T) < settings.near + 1.0
+    likelihood = field(thin(local.select(around), 0.1))
     half = np.maximum(3.0 * sigma, (0.1, 0.1, 0.02))
     pose, score = search(likelihood, coarse, guess, half, sigma=sigma)
     if score < 0.0:
