@@ -31,7 +31,7 @@ def save_recording(scene: Scene, path: Path) -> Path:
     Raises FglocError if rerun-sdk is not installed, or the file cannot be written.
     """
     rerun = import_rerun()
-    stream = rerun.RecordingStream("fgloc", recording_id=f"{scene.drive} {scene.method}")
+    stream = rerun.RecordingStream("fgloc")
     with atomic_path(path) as temporary:
         points = thin(all_points(scene.scans))
         stream.save(str(temporary), default_blueprint=_blueprint(rerun, scene, points))
@@ -48,7 +48,7 @@ def show(scene: Scene) -> None:
     Raises FglocError if rerun-sdk is not installed.
     """
     rerun = import_rerun()
-    stream = rerun.RecordingStream("fgloc", recording_id=f"{scene.drive} {scene.method}")
+    stream = rerun.RecordingStream("fgloc")
     points = thin(all_points(scene.scans))
     stream.spawn(default_blueprint=_blueprint(rerun, scene, points))
     _log(rerun, stream, scene, points)
@@ -82,6 +82,7 @@ def _blueprint(rerun: Any, scene: Scene, points: Floats) -> Any:
 
 def _log(rerun: Any, stream: Any, scene: Scene, points: Floats) -> None:
     """Log the scene, what does not change first."""
+    stream.send_recording_name(f"{scene.drive}: {scene.method}")
     stream.log("map", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     _still(rerun, stream, scene, points)
     for scans in scene.scans:
