@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from fgloc.atomic import atomic_path
 from fgloc.core.measurements import Floats, Stamps
+from fgloc.errors import FglocError
 from fgloc.lazy import import_rerun
 from fgloc.report.ellipses import ellipse_outlines
 from fgloc.report.map_points import PlacedScans, all_points
@@ -43,16 +47,22 @@ def save_recording(scene: Scene, path: Path) -> Path:
 
 
 def show(scene: Scene) -> None:
-    """Open a window of the rerun viewer with the scene and return; the window stays.
+    """Open a window of the rerun viewer with the scene; return when it is closed.
 
-    Raises FglocError if rerun-sdk is not installed.
+    Raises FglocError if rerun-sdk is not installed, or the window cannot be opened.
     """
-    rerun = import_rerun()
-    stream = rerun.RecordingStream("fgloc")
-    points = thin(all_points(scene.scans))
-    stream.spawn(default_blueprint=_blueprint(rerun, scene, points))
-    _log(rerun, stream, scene, points)
-    stream.flush()
+    with TemporaryDirectory(prefix="fgloc-view-") as folder:
+        path = save_recording(scene, Path(folder) / "scene.rrd")
+        # Through the interpreter: the viewer's own program need not be on the PATH.
+        done = subprocess.run(
+            [sys.executable, "-m", "rerun", str(path)], stderr=subprocess.PIPE, text=True
+        )
+    if done.returncode != 0:
+        said = [line for line in done.stderr.splitlines() if line.strip()]
+        raise FglocError(
+            f"the viewer's window cannot be opened: {said[-1] if said else done.returncode}; "
+            "use --save FILE.rrd or --html FILE"
+        )
 
 
 def _blueprint(rerun: Any, scene: Scene, points: Floats) -> Any:
