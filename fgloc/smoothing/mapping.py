@@ -110,7 +110,9 @@ def map_of(problem: Problem, solution: Solution) -> Map | None:
     if scene is None:
         return None if marks is None else Map(marks=marks)
     walls = scene.walls(point.landmarks, solution.landmark_covariance, point.states[:, :3])
-    return Map(walls, scene.segments, scene.wall, marks)
+    # A map's segments say which of the drive's scans they are of, not which of those in use.
+    segments = replace(scene.segments, scan=scene.numbers[scene.segments.scan])
+    return Map(walls, segments, scene.wall, marks)
 
 
 def _laid_out(problem: Problem, front: Front, scene: Scene) -> Floats:
