@@ -32,7 +32,7 @@ BLOCK = 4096
 class LineSettings:
     """What counts as a straight wall. The defaults hold for every lidar and drive here."""
 
-    min_points: int = 8
+    min_points: int = 10
     """Fewest beams that make a segment."""
     min_length_m: float = 0.5
     """Shortest segment [m]."""
