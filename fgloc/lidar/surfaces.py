@@ -130,7 +130,6 @@ def _surfaces(
             goes_on = False
             _neighbours(points, valid, i, GRAZING, GRAZING, 3, sums)
             if sums[0] < 4.0:
-                useful[i] = True
                 continue
         n, mx, my = sums[0], sums[1] / sums[0], sums[2] / sums[0]
         sxx, syy = sums[3] - n * mx * mx, sums[5] - n * my * my
@@ -143,8 +142,11 @@ def _surfaces(
             nx, ny = -nx, -ny
         along = abs(nx * x + ny * y) / r
         white = (sigma * along) ** 2 + across**2 * (1.0 - along**2)
-        if short / (n - 2.0) > 6.0 * (white + UNEVEN**2) or long < 25.0 * short:
-            rugged = short / (n - 2.0) > 6.0 * (white + UNEVEN**2)
+        # Six times what noise makes, or what chance makes of few points once in ten thousand.
+        freedom = n - 2.0
+        limit = max(6.0 * freedom, freedom + 4.0 * np.sqrt(2.0 * freedom) + 8.0)
+        rugged = short > limit * (white + UNEVEN**2)
+        if rugged or long < 25.0 * short:
             useful[i] = rugged or not goes_on
             continue
         useful[i] = True
