@@ -18,6 +18,7 @@ import math
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -26,7 +27,8 @@ from fgloc.datasets.simulator.rays import cast
 from fgloc.datasets.simulator.worlds import load_world
 from fgloc.lidar.lines import extract
 from fgloc.lidar.ransac import extract_ransac
-from fgloc.lidar.scan import cloud
+from fgloc.lidar.scan import Cloud, cloud
+from fgloc.lidar.segments import Segments
 
 SCANS = 500
 BEAMS = 400
@@ -57,15 +59,24 @@ def scans_along(walls: Floats, way: Floats, count: int) -> Scans:
     )
 
 
-def fastest(work: Callable[[], object]) -> float:
-    """Return the processor time [s] of the fastest run; what must be compiled is so before."""
+def fastest(work: Callable[[], object], calls: int = 1) -> float:
+    """Return the processor time [s] of a call in the fastest of several runs of `calls` calls.
+
+    What must be compiled is so before.
+    """
     work()
     seconds = []
     for _ in range(REPEATS):
         begin = time.process_time()
-        work()
+        for _ in range(calls):
+            work()
         seconds.append(time.process_time() - begin)
-    return min(seconds)
+    return min(seconds) / calls
+
+
+def drawn(points: Cloud, scans: Scans) -> Segments:
+    """Return the seed's segments, with the same draws at every call."""
+    return extract_ransac(points, scans, np.random.default_rng(0))
 
 
 def main(arguments: list[str]) -> int:
@@ -82,17 +93,15 @@ def main(arguments: list[str]) -> int:
         scans = scans_along(walls, way, count)
         points = cloud(scans)
         motion = np.tile([0.05, 0.0, 0.02], (count, 1))
-        one = type(points)(points.points[:1], points.ranges[:1], points.valid[:1])
-        ours = count / fastest(lambda p=points, s=scans: extract(p, s))
-        seed = count / fastest(
-            lambda p=points, s=scans: extract_ransac(p, s, np.random.default_rng(0))
-        )
-        single = fastest(lambda p=one, s=scans: [extract(p, s) for _ in range(100)]) / 100
-        make = count / fastest(lambda s=scans, m=motion: cloud(s, m))
+        one = Cloud(points.points[:1], points.ranges[:1], points.valid[:1])
+        ours = count / fastest(partial(extract, points, scans))
+        seed = count / fastest(partial(drawn, points, scans))
+        single = fastest(partial(extract, one, scans), 100)
+        make = count / fastest(partial(cloud, scans, motion))
         found = extract(points, scans).scan.size / count
-        drawn = extract_ransac(points, scans, np.random.default_rng(0)).scan.size / count
+        by_seed = drawn(points, scans).scan.size / count
         print(
-            f"{name:8}{ours:12,.0f}{seed:12,.0f}{ours / seed:12.2f}{found:12.2f}{drawn:12.2f}"
+            f"{name:8}{ours:12,.0f}{seed:12,.0f}{ours / seed:12.2f}{found:12.2f}{by_seed:12.2f}"
             f"{1e3 * single:12.3f}{make:12,.0f}"
         )
     return 0

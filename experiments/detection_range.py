@@ -67,7 +67,7 @@ def facing(range_m: float, count: int, rng: np.random.Generator) -> Scans:
     """Return scans of a full turn in which one wall of 4 m faces the lidar at a range [m]."""
     wall = np.array([[range_m, -HALF_WIDTH_M, range_m, HALF_WIDTH_M]])
     beams = round(2.0 * math.pi / INCREMENT)
-    angles = -math.pi + INCREMENT * np.arange(beams)
+    angles: Floats = -math.pi + INCREMENT * np.arange(beams, dtype=np.float64)
     exact = np.tile(cast(np.zeros((beams, 2)), angles, beams, wall, 100.0), (count, 1))
     exact[~np.isfinite(exact)] = 0.0
     ranges: Floats = exact * (1.0 + SHARE * rng.standard_normal(exact.shape))

@@ -37,6 +37,8 @@ class Rules(NamedTuple):
     range_sigma: float
     range_sigma_share: float
     bearing_sigma: float
+    min_range: float
+    max_range: float
     roughness_m: float
     flatness_m: float
     min_points: int

@@ -119,6 +119,8 @@ def _rules(scans: Scans, beams: int, settings: LineSettings) -> Rules:
         range_sigma=float(scans.range_sigma),
         range_sigma_share=float(scans.range_sigma_share),
         bearing_sigma=float(scans.bearing_sigma),
+        min_range=float(scans.min_range),
+        max_range=float(scans.max_range),
         roughness_m=float(settings.roughness_m),
         flatness_m=float(settings.flatness_m),
         min_points=settings.min_points,

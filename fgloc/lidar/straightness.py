@@ -38,7 +38,7 @@ def chi_square_bound(dof: int, sigmas: float) -> float:
     if dof < 1:
         return 0.0
     share = 2.0 / (9.0 * dof)
-    return dof * (1.0 - share + sigmas * np.sqrt(share)) ** 3
+    return float(dof * (1.0 - share + sigmas * np.sqrt(share)) ** 3)
 
 
 @compiled
@@ -74,7 +74,7 @@ def off(fit: Floats, k: int, rules: Rules, beams: Beams) -> float:
     nx, ny = np.cos(fit[NORMAL]), np.sin(fit[NORMAL])
     h = nx * (beams.x[k] - fit[MIDDLE_X]) + ny * (beams.y[k] - fit[MIDDLE_Y])
     cosine = max(-(nx * beams.ux[k] + ny * beams.uy[k]), FLATTEST)
-    return h / np.sqrt(beams.excess[k] * across_variance(rules, beams.r[k], cosine))
+    return float(h / np.sqrt(beams.excess[k] * across_variance(rules, beams.r[k], cosine)))
 
 
 @compiled
@@ -147,7 +147,7 @@ def _explained(k: int, piece: int, other: int, rules: Rules, beams: Beams, piece
     h = nx * (r * ux - next_wall[MIDDLE_X]) + ny * (r * uy - next_wall[MIDDLE_Y])
     cosine = max(-(nx * ux + ny * uy), FLATTEST)
     variance = beams.excess[k] * across_variance(rules, r, cosine)
-    return h * h < AMBIGUOUS * AMBIGUOUS * variance
+    return bool(h * h < AMBIGUOUS * AMBIGUOUS * variance)
 
 
 @compiled
@@ -158,7 +158,7 @@ def straight(fit: Floats, rules: Rules) -> bool:
     if fit[MISFIT] > rules.noise_margin**2 * chi_square_bound(int(fit[BEAMS]) - 2, 3.0):
         return False
     bulge = abs(fit[SAGITTA])
-    return bulge <= rules.curved * (np.sqrt(fit[SAGITTA_VARIANCE]) + rules.flatness_m)
+    return bool(bulge <= rules.curved * (np.sqrt(fit[SAGITTA_VARIANCE]) + rules.flatness_m))
 
 
 @compiled
