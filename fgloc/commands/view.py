@@ -44,5 +44,4 @@ def run(args: argparse.Namespace) -> int:
         print(f"Page: {args.html} (open it with any browser)")
     if args.save is None and args.html is None:
         show(scene)
-        print("The viewer is open.")
     return 0

@@ -26,9 +26,10 @@ class EkfSlamSettings:
     calibration: float = 1.0
     """Factor on the priors of radii, track and the like, which are part of the process noise since
     nothing of the robot is estimated; 0 takes the nominal robot to be exact."""
-    horizon_s: float = 10.0
+    horizon_s: float = 1.0
     """What is wrong with the robot stays wrong; the filter is told of it as white noise that adds
-    up to the same in this time [s]."""
+    up to the same in this time [s]. Landmarks show it soon, and with the 10 s of a pose filter the
+    heading would be so uncertain that one linearisation too many spoils the map."""
     sightings: int = 5
     """A landmark enters the state at its sighting of this number, earlier ones only make it known
     (seed C). A landmark whose identity the sensor tells enters at once: it is no chance."""
@@ -48,8 +49,11 @@ class EkfSlamSettings:
     the sighting is used."""
     wall_range_share: float = 0.01
     """Standard deviation of the distance to a wall's point as a share of it (seed C)."""
-    wall_range_sigma: float = 0.01
-    """What does not grow with the distance [m], added in squares: no line is exact."""
+    wall_range_sigma: float = 0.1
+    """What does not grow with the distance [m], added in squares. The point of a wall is off by
+    more than a beam: a direction that is wrong by a degree moves it by centimetres, and both sides
+    of a thin wall are one landmark. With 0.01 m the filter loses its way in every other drive of
+    seed C's rooms."""
     wall_bearing_sigma: float = math.radians(1.0)
     """Standard deviation of the direction to a wall's point [rad] (seed C: about 1°)."""
 

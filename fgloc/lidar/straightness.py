@@ -74,7 +74,7 @@ def off(fit: Floats, k: int, rules: Rules, beams: Beams) -> float:
     nx, ny = np.cos(fit[NORMAL]), np.sin(fit[NORMAL])
     h = nx * (beams.x[k] - fit[MIDDLE_X]) + ny * (beams.y[k] - fit[MIDDLE_Y])
     cosine = max(-(nx * beams.ux[k] + ny * beams.uy[k]), FLATTEST)
-    return h / np.sqrt(across_variance(rules, beams.r[k], cosine))
+    return h / np.sqrt(beams.excess[k] * across_variance(rules, beams.r[k], cosine))
 
 
 @compiled
@@ -130,7 +130,8 @@ def _explained(k: int, piece: int, other: int, rules: Rules, beams: Beams, piece
     nx, ny = np.cos(next_wall[NORMAL]), np.sin(next_wall[NORMAL])
     h = nx * (r * ux - next_wall[MIDDLE_X]) + ny * (r * uy - next_wall[MIDDLE_Y])
     cosine = max(-(nx * ux + ny * uy), FLATTEST)
-    return h * h < AMBIGUOUS * AMBIGUOUS * across_variance(rules, r, cosine)
+    variance = beams.excess[k] * across_variance(rules, r, cosine)
+    return h * h < AMBIGUOUS * AMBIGUOUS * variance
 
 
 @compiled

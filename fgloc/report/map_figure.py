@@ -8,16 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fgloc.core.drive import Drive
-from fgloc.core.evaluation import map_mount
-from fgloc.core.geometry import inverse
-from fgloc.core.measurements import Floats, LandmarkSightings
-from fgloc.core.trajectory import Trajectory
+from fgloc.core.measurements import Floats
 from fgloc.estimator import Result
 from fgloc.lidar.walls import Marks, Walls
 from fgloc.report.ellipses import draw_ellipses, enlarged, magnification
 from fgloc.report.figures import TRUTH, colour, new_figure, save, save_svg
+from fgloc.report.map_truth import base_truth, surveyed, true_walls
 from fgloc.report.map_walls import offset_sigma, wall_bands
-from fgloc.report.outcomes import calibrated_mount
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,11 +42,13 @@ def draw_map(
     truth = base_truth(result, drive)
     path = result.trajectory.poses[:, :2]
     places = np.array([*surveyed(drive).values()]).reshape(-1, 2)
+    true = true_walls(drive)
     everything = np.concatenate(
         [
             path,
             most_points(points),
             places,
+            true.reshape(-1, 2),
             *([] if walls is None else [walls.ends.reshape(-1, 2)]),
             *([] if marks is None else [marks.positions]),
             *([] if truth is None else [truth.poses[:, :2]]),
@@ -70,6 +69,8 @@ def draw_map(
         axes.plot([], [], ".", ms=6, color=POINT, label="scan points")
     if truth is not None:
         axes.plot(*truth.poses[:, :2].T, color=TRUTH, lw=3.0, alpha=0.3, label="truth", zorder=2)
+    if true.shape[0]:
+        _draw_true_walls(axes, true)
     axes.plot(*path.T, color=colour(result.method), lw=1.2, label=result.method, zorder=2.2)
     axes.plot(*path[0], "o", color=TRUTH, ms=6, mfc="white", mew=1.3, label="start", zorder=5)
     if walls is not None and walls.normal.size:
@@ -88,27 +89,6 @@ def draw_map(
         save_svg(figure, svg)
 
 
-def base_truth(result: Result, drive: Drive) -> Trajectory | None:
-    """Return the recorded truth as poses of base_link, by the reference's calibrated mounting."""
-    if drive.truth is None:
-        return None
-    x, y, yaw = inverse(np.array(calibrated_mount(result, drive.truth)))
-    reference = drive.truth.trajectory
-    return map_mount(reference, (float(x), float(y), float(yaw)))
-
-
-def surveyed(drive: Drive) -> dict[int, tuple[float, float]]:
-    """Return where landmarks are known to be, by identity [m]; empty where nobody surveyed them."""
-    return {
-        int(landmark): (float(x), float(y))
-        for sightings in drive.each(LandmarkSightings)
-        if sightings.survey is not None
-        for landmark, (x, y) in zip(
-            sightings.survey.landmark, sightings.survey.positions, strict=True
-        )
-    }
-
-
 def most_points(points: Floats) -> Floats:
     """Return (0, 2) or (2, 2) corners of a box around nearly all points.
 
@@ -117,6 +97,14 @@ def most_points(points: Floats) -> Floats:
     if not points.shape[0]:
         return points
     return np.asarray(np.quantile(points, (STRAY, 1.0 - STRAY), axis=0))
+
+
+def _draw_true_walls(axes: Axes, true: Floats) -> None:
+    """Draw the walls (W, 2, 2) of a simulated world."""
+    from matplotlib.collections import LineCollection
+
+    axes.add_collection(LineCollection(list(true), colors=TRUTH, linewidths=0.6, zorder=2.4))
+    axes.plot([], [], color=TRUTH, lw=0.6, label="true walls")
 
 
 def _draw_walls(axes: Axes, walls: Walls, extent: float) -> None:

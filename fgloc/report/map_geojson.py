@@ -20,7 +20,7 @@ from fgloc.core.trajectory import Trajectory
 from fgloc.estimator import Result
 from fgloc.lidar.walls import Marks, Walls
 from fgloc.report.ellipses import ellipse_axes
-from fgloc.report.map_figure import base_truth, surveyed
+from fgloc.report.map_truth import base_truth, surveyed, true_walls
 from fgloc.report.map_walls import wall_lengths, wall_sigmas
 
 DIGITS = 4
@@ -36,7 +36,8 @@ FRAME = {
 def map_geojson(result: Result, drive: Drive) -> dict[str, Any]:
     """Return a FeatureCollection: walls, marks, trajectory and, where known, the truth.
 
-    Every feature has an `id` and a property `kind`: `wall`, `mark`, `trajectory`, `truth`.
+    Every feature has an `id` and a property `kind`: `wall`, `mark`, `trajectory`, `truth` and,
+    of a simulated world, `true_wall`.
     """
     features: list[dict[str, Any]] = []
     if result.map is not None and result.map.walls is not None:
@@ -47,6 +48,14 @@ def map_geojson(result: Result, drive: Drive) -> dict[str, Any]:
     truth = base_truth(result, drive)
     if truth is not None:
         features += _path(truth, "truth", {})
+    features += [
+        _feature(
+            f"true-wall-{k}",
+            {"type": "LineString", "coordinates": _rounded(ends)},
+            {"kind": "true_wall", "length_m": _number(np.hypot(*(ends[1] - ends[0])), DIGITS)},
+        )
+        for k, ends in enumerate(true_walls(drive))
+    ]
     return {
         "type": "FeatureCollection",
         "frame": FRAME,

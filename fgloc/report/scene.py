@@ -15,8 +15,9 @@ from fgloc.core.measurements import Floats, Stamps
 from fgloc.core.trajectory import Trajectory
 from fgloc.estimator import Result, WheelSlip
 from fgloc.lidar.walls import Map, Marks, Walls
-from fgloc.report.map_figure import base_truth, most_points, surveyed
+from fgloc.report.map_figure import most_points
 from fgloc.report.map_points import PlacedScans, placed_scans
+from fgloc.report.map_truth import base_truth, surveyed, true_walls
 
 Colour = tuple[int, int, int]
 
@@ -60,6 +61,8 @@ class Scene:
     """Point landmarks; None for methods that make none."""
     surveyed: dict[int, tuple[float, float]]
     """Where landmarks are known to be [m], by identity."""
+    true_walls: Floats
+    """(W, 2, 2) ends of the walls of a simulated world [m]; empty where they are not known."""
     slips: tuple[WheelSlip, ...]
     """Which wheels slipped when."""
 
@@ -83,7 +86,7 @@ class Scene:
             inside.append(self.truth.poses[:, :2])
         if self.marks is not None:
             inside.append(self.marks.positions)
-        everything = np.concatenate(inside)
+        everything = np.concatenate([*inside, self.true_walls.reshape(-1, 2)])
         return np.stack([everything.min(axis=0) - 0.5, everything.max(axis=0) + 0.5])
 
 
@@ -102,6 +105,7 @@ def make_scene(result: Result, drive: Drive) -> Scene:
         found.walls,
         found.marks,
         surveyed(drive),
+        true_walls(drive),
         result.slips,
     )
 

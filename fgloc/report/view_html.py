@@ -51,6 +51,7 @@ def page_scene(scene: Scene) -> dict[str, Any]:
         "path": True,
         "ellipse": scene.trajectory.covariances is not None,
         "truth": scene.truth is not None,
+        "true_walls": scene.true_walls.shape[0] > 0,
     }
     notes = [
         f"{evenly(s.scan.size, MOST_SCANS).size} of {s.scan.size} scans of {s.sensor} are shown."
@@ -70,6 +71,7 @@ def page_scene(scene: Scene) -> dict[str, Any]:
         "points": _mm(points, origin),
         "lidars": [_lidar(scene, k, origin) for k in range(len(scene.scans))],
         "walls": _walls(scene, origin),
+        "true_walls": [_mm(ends, origin) for ends in scene.true_walls],
         "marks": _marks(scene, origin),
         "surveyed": [
             {"x": xy[0], "y": xy[1]}

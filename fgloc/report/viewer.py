@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from fgloc.atomic import atomic_path
 from fgloc.core.measurements import Floats, Stamps
+from fgloc.errors import FglocError
 from fgloc.lazy import import_rerun
 from fgloc.report.ellipses import ellipse_outlines
 from fgloc.report.map_points import PlacedScans, all_points
@@ -31,7 +35,7 @@ def save_recording(scene: Scene, path: Path) -> Path:
     Raises FglocError if rerun-sdk is not installed, or the file cannot be written.
     """
     rerun = import_rerun()
-    stream = rerun.RecordingStream("fgloc", recording_id=f"{scene.drive} {scene.method}")
+    stream = rerun.RecordingStream("fgloc")
     with atomic_path(path) as temporary:
         points = thin(all_points(scene.scans))
         stream.save(str(temporary), default_blueprint=_blueprint(rerun, scene, points))
@@ -43,16 +47,22 @@ def save_recording(scene: Scene, path: Path) -> Path:
 
 
 def show(scene: Scene) -> None:
-    """Open a window of the rerun viewer with the scene and return; the window stays.
+    """Open a window of the rerun viewer with the scene; return when it is closed.
 
-    Raises FglocError if rerun-sdk is not installed.
+    Raises FglocError if rerun-sdk is not installed, or the window cannot be opened.
     """
-    rerun = import_rerun()
-    stream = rerun.RecordingStream("fgloc", recording_id=f"{scene.drive} {scene.method}")
-    points = thin(all_points(scene.scans))
-    stream.spawn(default_blueprint=_blueprint(rerun, scene, points))
-    _log(rerun, stream, scene, points)
-    stream.flush()
+    with TemporaryDirectory(prefix="fgloc-view-") as folder:
+        path = save_recording(scene, Path(folder) / "scene.rrd")
+        # Through the interpreter: the viewer's own program need not be on the PATH.
+        done = subprocess.run(
+            [sys.executable, "-m", "rerun", str(path)], stderr=subprocess.PIPE, text=True
+        )
+    if done.returncode != 0:
+        said = [line for line in done.stderr.splitlines() if line.strip()]
+        raise FglocError(
+            f"the viewer's window cannot be opened: {said[-1] if said else done.returncode}; "
+            "use --save FILE.rrd or --html FILE"
+        )
 
 
 def _blueprint(rerun: Any, scene: Scene, points: Floats) -> Any:
@@ -82,6 +92,7 @@ def _blueprint(rerun: Any, scene: Scene, points: Floats) -> Any:
 
 def _log(rerun: Any, stream: Any, scene: Scene, points: Floats) -> None:
     """Log the scene, what does not change first."""
+    stream.send_recording_name(f"{scene.drive}: {scene.method}")
     stream.log("map", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     _still(rerun, stream, scene, points)
     for scans in scene.scans:
@@ -107,6 +118,8 @@ def _still(rerun: Any, stream: Any, scene: Scene, points: Floats) -> None:
     lines("path", [scene.trajectory.poses[:, :2]], PATH, 1.0)
     if scene.truth is not None:
         lines("truth", [scene.truth.poses[:, :2]], TRUTH, 1.0)
+    if scene.true_walls.shape[0]:
+        lines("true_walls", list(scene.true_walls), TRUTH, 0.6)
     if points.shape[0]:
         stream.log(
             "map/points",

@@ -93,6 +93,17 @@ def test_without_a_map_or_a_truth_the_path_is_left() -> None:
     assert [f["properties"]["kind"] for f in document["features"]] == ["trajectory"]
 
 
+def test_a_simulated_world_has_true_walls() -> None:
+    room = replace(drive(), name="sim:seed-b-room?seed=3")
+    document = read(geojson_text(map_geojson(result(), room)))
+    check_structure(document)
+    true = features(document, "true_wall")
+    # Four walls, the pillar and the cupboard; the room is 6 m by 5 m.
+    ends = np.array([f["geometry"]["coordinates"] for f in true])
+    assert len(true) > 8
+    np.testing.assert_allclose(np.ptp(ends.reshape(-1, 2), axis=0), [6.0, 5.0])
+
+
 def test_a_single_pose_is_no_line() -> None:
     alone = replace(
         result(), trajectory=Trajectory(np.zeros(1, np.int64), np.array([[1.0, 2.0, 0.0]]))

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -141,9 +142,30 @@ def test_recording_without_lidar_truth_and_covariance(tmp_path: Path) -> None:
 
 
 def test_missing_viewer_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "rerun", None)
+    monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(FglocError, match=r"pip install 'fgloc\[viz\]'.*--html FILE"):
         import_rerun()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a window opens without DISPLAY")
+def test_no_display_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(FglocError, match=r"cannot be opened: .*; use --save FILE.rrd or --html"):
+        viewer.show(make_scene(result(), drive()))
+
+
+def test_viewer_is_started_with_the_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    fake, seen = tmp_path / "python", tmp_path / "seen"
+    fake.write_text(f'#!/bin/sh\necho "$1 $2" > {seen}\nhead -c 3 "$3" >> {seen}\n')
+    fake.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(fake))
+    viewer.show(make_scene(result(), drive()))
+    assert seen.read_bytes() == b"-m rerun\nRRF"
 
 
 # --- the page -----------------------------------------------------------------------------------
