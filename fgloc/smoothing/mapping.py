@@ -12,8 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from fgloc.core.drive import Drive
 from fgloc.core.geometry import between, compose, inverse
-from fgloc.core.measurements import Floats, Stamps
+from fgloc.core.measurements import Floats, Scans, Stamps
 from fgloc.factors.robust import PLAIN
 from fgloc.factors.tables import FactorTable, Kind
 from fgloc.lidar.association import Slack, associate, duplicates, lidar_poses
@@ -93,7 +94,7 @@ def solve_with_walls(
     return graph, finish(graph, settings, point, iterations, converged, stopped)
 
 
-def map_of(problem: Problem, solution: Solution) -> Map | None:
+def map_of(problem: Problem, solution: Solution, drive: Drive) -> Map | None:
     """Return what a solution says of the surroundings; None where no sensor saw any."""
     scene, point = problem.scene, solution.point
     marks = None
@@ -110,7 +111,10 @@ def map_of(problem: Problem, solution: Solution) -> Map | None:
     if scene is None:
         return None if marks is None else Map(marks=marks)
     walls = scene.walls(point.landmarks, solution.landmark_covariance, point.states[:, :3])
-    return Map(walls, scene.segments, scene.wall, marks)
+    # Segments count the scans that were used, a map those of the drive.
+    numbers = np.searchsorted(drive.each(Scans)[0].stamps_ns, scene.scans.stamps_ns)
+    segments = replace(scene.segments, scan=numbers[scene.segments.scan].astype(np.int64))
+    return Map(walls, segments, scene.wall, marks)
 
 
 def _laid_out(problem: Problem, front: Front, scene: Scene) -> Floats:
