@@ -21,6 +21,9 @@ from fgloc.report.map_truth import base_truth, surveyed, true_walls
 
 Colour = tuple[int, int, int]
 
+SHOWN_S = 1.0
+"""Segments stay visible until others are seen, but no longer than this [s]: methods that use every
+third scan, say, would have them flicker."""
 UNASSOCIATED: Colour = (150, 150, 150)
 """Colour of a segment that belongs to no wall."""
 
