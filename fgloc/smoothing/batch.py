@@ -100,7 +100,7 @@ def _result(
         slips=slips,
         notes=tuple(notes),
         calibration_covariance=calibration_covariance,
-        map=map_of(problem, solution, drive),
+        map=map_of(problem, solution),
     )
 
 

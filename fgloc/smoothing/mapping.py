@@ -12,9 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fgloc.core.drive import Drive
 from fgloc.core.geometry import between, compose, inverse
-from fgloc.core.measurements import Floats, Scans, Stamps
+from fgloc.core.measurements import Floats, Stamps
 from fgloc.factors.robust import PLAIN
 from fgloc.factors.tables import FactorTable, Kind
 from fgloc.lidar.association import Slack, associate, duplicates, lidar_poses
@@ -94,7 +93,7 @@ def solve_with_walls(
     return graph, finish(graph, settings, point, iterations, converged, stopped)
 
 
-def map_of(problem: Problem, solution: Solution, drive: Drive) -> Map | None:
+def map_of(problem: Problem, solution: Solution) -> Map | None:
     """Return what a solution says of the surroundings; None where no sensor saw any."""
     scene, point = problem.scene, solution.point
     marks = None
@@ -111,9 +110,8 @@ def map_of(problem: Problem, solution: Solution, drive: Drive) -> Map | None:
     if scene is None:
         return None if marks is None else Map(marks=marks)
     walls = scene.walls(point.landmarks, solution.landmark_covariance, point.states[:, :3])
-    # Segments count the scans that were used, a map those of the drive.
-    numbers = np.searchsorted(drive.each(Scans)[0].stamps_ns, scene.scans.stamps_ns)
-    segments = replace(scene.segments, scan=numbers[scene.segments.scan].astype(np.int64))
+    # A map's segments say which of the drive's scans they are of, not which of those in use.
+    segments = replace(scene.segments, scan=scene.numbers[scene.segments.scan])
     return Map(walls, segments, scene.wall, marks)
 
 
