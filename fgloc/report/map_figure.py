@@ -68,7 +68,8 @@ def draw_map(
     margin = np.maximum(0.04 * extent, 0.5 * (0.3 * extent - (high - low)))
     low, high = low - margin, high + margin
     size = (high - low) * min(11.0 / (high[0] - low[0]), 9.0 / (high[1] - low[1]))
-    figure = new_figure(max(float(size[0]), 6.0) + 1.0, float(size[1]) + 1.6)
+    width = max(float(size[0]), 6.0) + 1.0
+    figure = new_figure(width, float(size[1]) + 1.6)
     axes = figure.add_subplot()
     if points.shape[0]:
         # About as large as the distance between points, but neither invisible nor a blot.
@@ -91,7 +92,7 @@ def draw_map(
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.set_aspect("equal", adjustable="box")
     axes.grid(alpha=0.25)
-    figure.legend(loc="outside lower center", frameon=False, ncols=4)
+    figure.legend(loc="outside lower center", frameon=False, ncols=max(2, int(width / 2.4)))
     save(figure, png)
     if svg is not None:
         save_svg(figure, svg)
