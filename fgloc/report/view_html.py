@@ -14,9 +14,10 @@ from fgloc.core.measurements import Floats
 from fgloc.core.trajectory import Trajectory
 from fgloc.report.ellipses import ellipse_axes
 from fgloc.report.map_points import PlacedScans, all_points
+from fgloc.report.map_segments import PlacedSegments
 from fgloc.report.map_thinning import thin
 from fgloc.report.map_walls import wall_bands
-from fgloc.report.scene import SHOWN_S, PlacedSegments, Scene, evenly, wall_colour
+from fgloc.report.scene import SHOWN_S, Scene, evenly, wall_colour
 
 MOST_SCANS = 1000
 """Scans of a lidar that the page holds, some kilobytes each."""

@@ -17,9 +17,10 @@ from fgloc.errors import FglocError
 from fgloc.lazy import import_rerun
 from fgloc.report.ellipses import ellipse_outlines
 from fgloc.report.map_points import PlacedScans, all_points
+from fgloc.report.map_segments import PlacedSegments
 from fgloc.report.map_thinning import thin
 from fgloc.report.map_walls import wall_bands
-from fgloc.report.scene import SHOWN_S, PlacedSegments, Scene, evenly, wall_colour
+from fgloc.report.scene import SHOWN_S, Scene, evenly, wall_colour
 
 TIMELINE = "drive"
 """Seconds since the drive's begin."""
