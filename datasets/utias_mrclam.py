@@ -35,6 +35,7 @@ from fgloc.datasets.text import (
     NOT_A_NUMBER,
     Integers,
     count,
+    countable_seconds,
     finite_rows,
     forward_stamps,
     parse_rows,
@@ -121,6 +122,7 @@ def load(folder: Path, run: str, name: str) -> Drive:
     rejected: Counter[str] = Counter()
     file = directory / f"Robot{robot}_Odometry.dat"
     odometry, _ = _table(file, 3, rejected, "odometry ")
+    odometry = odometry[countable_seconds(odometry[:, 0], rejected, "odometry ")]
     stamps = seconds_to_ns(odometry[:, 0])
     later = forward_stamps(stamps, rejected, "odometry ")
     stamps, odometry = stamps[later], odometry[later]
@@ -191,6 +193,8 @@ def _sightings(directory: Path, robot: str, rejected: Counter[str]) -> LandmarkS
 
     file = directory / f"Robot{robot}_Measurement.dat"
     table, lines = _table(file, 4, rejected, "sighting ")
+    timely = countable_seconds(table[:, 0], rejected, "sighting ")
+    table, lines = table[timely], lines[timely]
     seen = np.array([subject_of.get(b, -1) for b in _whole(table[:, 1], lines, file).tolist()])
     known = np.isin(seen, survey.landmark)
     others = (seen >= 1) & (seen <= ROBOTS)
@@ -221,6 +225,7 @@ def _truth(file: Path, rejected: Counter[str]) -> Reference | None:
     if not file.is_file():
         return None
     table, _ = _table(file, 4, rejected, "truth ")
+    table = table[countable_seconds(table[:, 0], rejected, "truth ")]
     stamps = seconds_to_ns(table[:, 0])
     later = forward_stamps(stamps, rejected, "truth ")
     poses = np.column_stack([table[later, 1:3], np.unwrap(table[later, 3])])

@@ -43,6 +43,8 @@ SAGITTA_M = 0.002
 """How far the pieces of a curved wall are off it at most [m]."""
 MOST_PIECES = 100_000
 """No world has more walls; cutting finer would only take time."""
+FARTHEST_M, LONGEST_S = 1e4, 36_000.0
+"""No way leads farther away [m], and no lap takes longer [s]: it would fill the memory."""
 STYLES = ("along", "sideways")
 
 
@@ -142,6 +144,10 @@ def parse_world(file: TomlFile, name: str) -> World:
     waypoints = np.array(course.waypoints, dtype=np.float64).reshape(-1, 2)
     file.check_number(course.speed, 1e-3, "course", "speed")
     apart = np.hypot(*np.diff(waypoints, axis=0, append=waypoints[:1]).T)
+    if not bool(np.all(np.abs(waypoints) <= FARTHEST_M)):
+        raise file.error(f"waypoints must lie within {FARTHEST_M:g} m of the origin", "course")
+    if float(apart.sum()) > LONGEST_S * course.speed:
+        raise file.error(f"a lap would take more than {LONGEST_S:g} s at this speed", "course")
     if waypoints.shape[0] < 2 or not np.all(apart[: None if course.closed else -1] > 0.0):
         raise file.error("at least two waypoints, each another than the one before", "course")
     if not course.laps or not set(course.laps) <= set(STYLES):

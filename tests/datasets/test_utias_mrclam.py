@@ -80,7 +80,8 @@ def test_the_priors_hold_what_the_robots_do(tmp_path: Path) -> None:
 def test_what_cannot_be_used_is_counted(tmp_path: Path) -> None:
     drive = loaded(
         tmp_path,
-        Robot1_Odometry=FILES["Robot1_Odometry"] + "101.5 9 9\n101.4 9 9\nnan 0 0\n102 0 0\n103 0",
+        Robot1_Odometry=FILES["Robot1_Odometry"]
+        + "101.5 9 9\n101.4 9 9\nnan 0 0\n1e18 0 0\n102 0 0\n103 0",
         Robot1_Measurement=FILES["Robot1_Measurement"]
         + "101 43 1 1\n101 90 nan 1\n100.9 90 1 1\n101 90 0 1\n101 90 1 1.3\n101 5 1 1\n",
         Robot1_Groundtruth=FILES["Robot1_Groundtruth"] + "102 1 1 1\n103 1 1 inf\n",
@@ -88,6 +89,7 @@ def test_what_cannot_be_used_is_counted(tmp_path: Path) -> None:
     assert drive.rejected == {
         "truncated line": 1,
         "odometry not a number": 1,
+        "odometry stamp out of range": 1,
         "odometry repeated stamp": 1,
         "odometry time goes back": 1,
         "sighting not a number": 1,
