@@ -22,7 +22,9 @@ EXPECTED = {1.0: 0.76, 1.5: 0.06}
 """What 25 draws of the noise give where at least 21 are to be within 15 mm, to two digits."""
 
 
-def accepted(distance: float, share: float, neighbours: int, inliers: int, tolerance: float) -> float:
+def accepted(
+    distance: float, share: float, neighbours: int, inliers: int, tolerance: float
+) -> float:
     """Return the probability that enough of the neighbours are nearer to their wall than tolerated.
 
     Of the true wall, across which the noise of a wall straight ahead lies: a binomial number. The
@@ -116,8 +118,8 @@ def detection_table() -> Table:
         ),
         tuple(rows),
         (
-            "P of a draw: that 21 of 25 beams are within 15 mm of the true wall. A draw here: of the "
-            "line fitted to them, in the middle of the wall; - where fewer than 25 beams meet it.",
+            "P of a draw: that 21 of 25 beams are within 15 mm of the true wall. A draw here: of "
+            "the line fitted to them, in the middle of the wall; - where fewer beams meet it.",
             f"Found: in how many of {TRIALS} scans there is a line, by {settings.attempts} draws "
             "among all beams, and by the default extractor.",
         ),

@@ -23,7 +23,7 @@ NOTES = (
     "All methods start at the true pose and see the same wheels and scans. Filters and online are "
     "scored on the pose as emitted, batch on the smoothed one.",
     "EKF-SLAM takes a wall as the foot of the perpendicular from the map's origin and associates "
-    "by the nearest, as the seeds do. Its noise was chosen on the first four seeds of these worlds.",
+    "by the nearest, as the seeds do. Its noise was chosen on seeds 1 to 4 of these worlds.",
 )
 
 

@@ -15,9 +15,9 @@ from fgloc.estimator import Estimator, Result
 from fgloc.lidar.segments import Segments
 from fgloc.lidar.walls import Walls
 
-LEAST_M = 0.5
-"""Walls that share less than this with the true one [m] are not judged: too short for a direction.
-They count as walls of the map."""
+LEAST_M = 1.0
+"""Walls that share less than this with the true one [m] are short: 0.3° is 3 mm over half a metre,
+and the side of a cupboard is seen in a handful of scans. They stand in columns of their own."""
 SHOWN = 20
 """A true wall that so many scans show at least, by the default extractor, belongs in the map."""
 
@@ -73,8 +73,10 @@ class MapScore:
     """Those that are no true wall."""
     missing: int
     """True lines that the scans show and the map lacks."""
+    overlap_m: tuple[float, ...]
+    """Length that it shares with the true wall [m], of every wall that is one."""
     middle_m: tuple[float, ...]
-    """Distance from the true line at the middle of what both have [m], of every judged wall."""
+    """Distance from the true line at the middle of what both have [m]."""
     end_m: tuple[float, ...]
     """The same at the further end."""
     direction_deg: tuple[float, ...]
@@ -169,7 +171,7 @@ def score_map(result: Result, drive: Drive, truth: Floats) -> MapScore:
     lines = line_of_each(truth)
     shown = seen_lines(drive, truth, lines)
     found = np.unique(lines[errors.truth[errors.truth >= 0]])
-    judged = errors.overlap_m >= LEAST_M
+    matched = errors.truth >= 0
     used = wrong = spurious = 0
     if result.map.segments is not None and result.map.wall is not None:
         true_wall = true_walls(result.map.segments, drive, truth)
@@ -179,10 +181,11 @@ def score_map(result: Result, drive: Drive, truth: Floats) -> MapScore:
         walls=errors.truth.size,
         unmatched=int(np.count_nonzero(errors.truth < 0)),
         missing=int(np.setdiff1d(shown, found).size),
-        middle_m=tuple(errors.middle_m[judged].tolist()),
-        end_m=tuple(errors.end_m[judged].tolist()),
-        direction_deg=tuple(np.degrees(errors.direction_rad[judged]).tolist()),
-        beyond_m=tuple(errors.beyond_m[judged].tolist()),
+        overlap_m=tuple(errors.overlap_m[matched].tolist()),
+        middle_m=tuple(errors.middle_m[matched].tolist()),
+        end_m=tuple(errors.end_m[matched].tolist()),
+        direction_deg=tuple(np.degrees(errors.direction_rad[matched]).tolist()),
+        beyond_m=tuple(errors.beyond_m[matched].tolist()),
         used=used,
         wrong=wrong,
         spurious=spurious,

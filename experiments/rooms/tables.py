@@ -75,11 +75,15 @@ def map_table(world: str, scores: Scores) -> Table:
             "walls": _over([float(m.walls) for m in maps], 0),
             "missing": _over([float(m.missing) for m in maps], 0),
             "unmatched": _over([float(m.unmatched) for m in maps], 0),
-            "rms": Cell(100.0 * _rms([v for m in maps for v in m.middle_m]), 2),
-            "worst": _over([100.0 * _worst(m.middle_m) for m in maps], 1, limits[0]),
-            "direction": Cell(_rms([v for m in maps for v in m.direction_deg]), 2),
-            "worst_direction": _over([_worst(m.direction_deg) for m in maps], 2, limits[1]),
+            "rms": Cell(100.0 * _rms([v for m in maps for v in _of(m, m.middle_m)]), 2),
+            "worst": _over([100.0 * _worst(_of(m, m.middle_m)) for m in maps], 1, limits[0]),
+            "direction": Cell(_rms([v for m in maps for v in _of(m, m.direction_deg)]), 2),
+            "worst_direction": _over([_worst(_of(m, m.direction_deg)) for m in maps], 2, limits[1]),
             "within": Cell(100.0 * _within(maps), 0),
+            "short": Cell(100.0 * _rms([v for m in maps for v in _of(m, m.middle_m, True)]), 2),
+            "short_direction": Cell(
+                _rms([v for m in maps for v in _of(m, m.direction_deg, True)]), 2
+            ),
         }
         rows.append(Row((entrant.title,), cells))
     return Table(
@@ -93,13 +97,15 @@ def map_table(world: str, scores: Scores) -> Table:
             Column("rms", "distance RMS", "cm"),
             Column("worst", "worst wall", "cm"),
             Column("direction", "direction RMS", "deg"),
-            Column("worst_direction", "worst wall ", "deg"),
-            Column("within", f"within {WALL_CM:g} cm and {WALL_DEG:g}°", "%"),
+            Column("worst_direction", "worst direction", "deg"),
+            Column("within", f"within {WALL_CM:g} cm, {WALL_DEG:g}°", "%"),
+            Column("short", "short ones: RMS", "cm"),
+            Column("short_direction", "direction", "deg"),
         ),
         tuple(rows),
         (
-            f"Walls that share at least {LEAST_M} m with a true one; distance at the middle of "
-            "what both have, nothing aligned. Worst wall: of each map, over seeds.",
+            f"Walls that share at least {LEAST_M:g} m with a true one (short ones: less); distance "
+            "at the middle of what both have, nothing aligned. Worst wall: of each map.",
             f"Missing: true lines that {SHOWN} scans or more show and the map lacks. No wall: "
             "walls of the map that lie on no true one.",
         ),
@@ -150,10 +156,21 @@ def _ates(scores: Sequence[Score]) -> list[float]:
 
 
 def _over(values: Sequence[float], decimals: int, target: float | None = None) -> Cell:
-    """Return a cell of numbers over seeds; one number where there is one seed."""
-    if len(values) == 1:
-        return Cell(values[0], decimals, target=target)
-    return Cell(Distribution.of(values), decimals, target=target)
+    """Return a cell of numbers over seeds; one number where there is one seed.
+
+    Seeds without a number (no such wall in the map) are left out, but never from what is judged.
+    """
+    known = [v for v in values if math.isfinite(v)] if target is None else values
+    if len(known) <= 1:
+        return Cell(known[0] if known else None, decimals, target=target)
+    return Cell(Distribution.of(known), decimals, target=target)
+
+
+def _of(one: MapScore, values: Sequence[float], short: bool = False) -> list[float]:
+    """Return the values of a map's walls that are long enough to be judged, or of the others."""
+    return [
+        v for v, length in zip(values, one.overlap_m, strict=True) if (length < LEAST_M) == short
+    ]
 
 
 def _rms(values: Sequence[float]) -> float:
@@ -171,7 +188,9 @@ def _within(maps: Sequence[MapScore]) -> float:
     found = [
         100.0 * middle <= WALL_CM and direction <= WALL_DEG
         for one in maps
-        for middle, direction in zip(one.middle_m, one.direction_deg, strict=True)
+        for middle, direction in zip(
+            _of(one, one.middle_m), _of(one, one.direction_deg), strict=True
+        )
     ]
     return float(np.mean(found)) if found else math.nan
 

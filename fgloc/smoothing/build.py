@@ -259,6 +259,7 @@ def _scene(b: _Builder, front: Front) -> Scene:
     b.counts[scans.sensor] = (scans.stamps_ns.size, front.left_out)
     return Scene(
         scans=scans,
+        numbers=front.numbers,
         segments=front.segments,
         at=np.searchsorted(b.keyframes_ns, scans.stamps_ns).astype(np.int64),
         block=b.mount(scans.sensor, scans.mount, scans.mount_sigma),

@@ -29,6 +29,8 @@ class Front:
 
     scans: Scans
     """The scans that are used."""
+    numbers: Stamps
+    """(N,) which of the drive's scans they are."""
     left_out: int
     """How many were not: too near to the one before, or outside the drive."""
     segments: Segments
@@ -64,7 +66,7 @@ def look_around(drive: Drive) -> Front | None:
     matched = match_chain(surface, compose(path, np.array(scans.mount)))
     closures = find_closures(surface, matched.relative, matched.covariance)
     left_out = every.stamps_ns.size - used.size
-    return Front(scans, left_out, segments, matched, closures)
+    return Front(scans, inside[used], left_out, segments, matched, closures)
 
 
 def _spread(stamps: Stamps, moved: Floats, turned: Floats) -> Stamps:

@@ -21,6 +21,8 @@ class Scene:
 
     scans: Scans
     """The scans that are used."""
+    numbers: Stamps
+    """(N,) which of the drive's scans they are."""
     segments: Segments
     """Straight walls in them."""
     at: Stamps
