@@ -89,3 +89,13 @@ def test_key_scans_by_hand() -> None:
     turning = np.array([(0.0, 0.0, 0.1 * k) for k in range(5)])
     assert key_scans(turning, 0.29, 0.15).tolist() == [0, 2, 4]
     assert key_scans(np.zeros((0, 3))).size == 0
+
+
+def test_wheels_that_slipped_are_found_out(look: Look, room: Floats) -> None:
+    """One displacement is guessed 18 cm and 17° wrong, 4 and 7 times what it may be."""
+    poses = np.array([(1.0 + 0.1 * k, 1.2, 0.1 * k) for k in range(10)])
+    steps = between(poses[:-1], poses[1:])
+    steps[5] += (-0.15, 0.1, 0.3)
+    found = match_chain(look(room, poses, 1), chain(steps, poses[0].copy()))
+    assert found.matched.all()
+    np.testing.assert_allclose(found.relative[5], between(poses[5], poses[6]), atol=0.02)

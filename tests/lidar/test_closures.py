@@ -130,8 +130,8 @@ def test_recorded_corridors_close(data_dir: Path) -> None:
     path = np.array(wheels[:count])
     matched = match_chain(points, path)
     assert matched.matched.mean() > 0.97
-    found = find_closures(points, *matched.fused(path, np.array([0.2, 0.2, 0.17])))
-    assert found.first.size >= 15
+    found = find_closures(points, matched.relative, matched.covariance)
+    assert found.first.size >= 10
     true = true[:count]
     off = found.relative - between(true[found.first], true[found.second])
     off[:, 2] = np.abs(wrap(off[:, 2]))
