@@ -193,11 +193,23 @@ def _refine(
     wall[8] = max(p11 - k10 * h10 - k11 * h11, 0.01 * position)
 
 
-def duplicates(walls: Walls, slack: Slack) -> Stamps:
+def single_noise(segments: Segments, wall: Stamps, count: int) -> Floats:
+    """Return (L, 2) mean variances of direction [rad²] and offset [m²] of each wall's sightings."""
+    used = np.flatnonzero(wall >= 0)
+    each = np.diagonal(segments.covariance[used], axis1=1, axis2=2)
+    total = np.zeros((count, 2))
+    np.add.at(total, wall[used], each)
+    sightings = np.bincount(wall[used], minlength=count)
+    return np.asarray(total / np.maximum(sightings, 1)[:, None])
+
+
+def duplicates(walls: Walls, slack: Slack, noise: Floats) -> Stamps:
     """Return (L,) for each wall the number of the one that it is the same as, perhaps itself.
 
     Two walls are one if they face the same way, lie on one line as far as is known, and overlap
-    or are nearly so. O(L²) numpy.
+    or are nearly so. Where half of one covers the other, they need not be nearer than two single
+    sightings of a wall may be, whose variances are `noise` (L, 2): of two surfaces one would hide
+    the other. O(L²) numpy.
     """
     n = walls.normal.size
     same = np.arange(n)
@@ -231,6 +243,11 @@ def duplicates(walls: Walls, slack: Slack) -> Stamps:
         + variance[:, 1, 1][None]
         + slack.position_m**2
     )
+    length = np.diff(walls.reach, axis=1)[:, 0]
+    covered = -apart > 0.5 * np.minimum(length[:, None], length[None])
+    one = np.maximum(noise[:, None], noise[None])
+    by_angle = by_angle + np.where(covered, one[:, :, 0], 0.0)
+    by_offset = by_offset + np.where(covered, one[:, :, 1], 0.0)
     squared = turn**2 / by_angle + off**2 / by_offset
     fits = (squared < GATE) & (apart < slack.gap_m) & (np.abs(turn) < 0.35)
     fits &= fits.T

@@ -41,6 +41,17 @@ class Walls:
             if values.shape != shape:
                 raise FglocError(f"walls: {name} must have shape {shape}, got {values.shape}")
 
+    def select(self, which: Stamps) -> Walls:
+        """Return some of the walls, by index, in that order."""
+        return Walls(
+            self.normal[which],
+            self.offset[which],
+            self.anchor[which],
+            self.reach[which],
+            self.covariance[which],
+            self.sightings[which],
+        )
+
     @property
     def ends(self) -> Floats:
         """Return (L, 2, 2) the right and the left end [m] of each wall in map axes."""
@@ -71,7 +82,7 @@ class Map:
     walls: Walls | None = None
     """Walls; None where there is no lidar."""
     segments: Segments | None = None
-    """What was seen of them, as extracted."""
+    """What was seen of them, as extracted; `scan` counts all scans of the drive's first lidar."""
     wall: Stamps | None = None
     """(M,) the wall that each segment belongs to; -1 where it belongs to none."""
     marks: Marks | None = None

@@ -16,7 +16,7 @@ from fgloc.core.geometry import between, compose, inverse
 from fgloc.core.measurements import Floats, Stamps
 from fgloc.factors.robust import PLAIN
 from fgloc.factors.tables import FactorTable, Kind
-from fgloc.lidar.association import Slack, associate, duplicates, lidar_poses
+from fgloc.lidar.association import Slack, associate, duplicates, lidar_poses, single_noise
 from fgloc.lidar.walls import Map, Marks, Walls
 from fgloc.smoothing.front import Front
 from fgloc.smoothing.minimise import Point, minimise
@@ -33,8 +33,10 @@ ROUNDS = (
     Slack(0.02, 0.004),
 )
 """How far poses may be off while segments are associated, round by round."""
-FEWEST = 3
+FEWEST = 5
 """A wall seen less often is none: a door that moved, a person."""
+UNSURE = np.radians(1.0)
+"""A wall whose direction is not known to this sigma [rad] is not drawn in the map."""
 CROSSING = 0.3
 """Two shared walls that cross at an angle whose sine is this large tell how two scans lie."""
 WORST = 13.8
@@ -89,8 +91,35 @@ def solve_with_walls(
         walls = scene.walls(point.landmarks, None, point.states[:, :3])
         if settled:
             break
+    graph, pruned = _pruned(graph, point)
+    if pruned:
+        point, count, converged = minimise(
+            graph, settings, point.states, point.u, settings.robust, landmarks=point.landmarks
+        )
+        iterations += count
     stopped = "the cost falls no further" if converged else "no step lowers the cost"
     return graph, finish(graph, settings, point, iterations, converged, stopped)
+
+
+def _pruned(graph: Problem, point: Point) -> tuple[Problem, int]:
+    """Return the graph without sightings that contradict their wall, and how many those were."""
+    scene = graph.scene
+    assert scene is not None
+    of_walls = [k for k, t in enumerate(point.tables) if t.kind == Kind.WALL]
+    if not of_walls:
+        return graph, 0
+    wrong = point.linear[of_walls[0]].squared > WORST
+    wall = scene.wall.copy()
+    wall[np.flatnonzero(wall >= 0)[wrong]] = -1
+    left = np.bincount(wall[wall >= 0], minlength=scene.anchors.shape[0])
+    # A wall that all its sightings contradict stays: it must be determined, and says how badly.
+    wall = np.where((scene.wall >= 0) & (left[scene.wall] == 0), scene.wall, wall)
+    if np.array_equal(wall, scene.wall):
+        return graph, 0
+    now = replace(scene, wall=wall)
+    loss = point.tables[of_walls[0]].loss
+    tables = [now.table(loss) if t.kind == Kind.WALL else t for t in graph.tables]
+    return replace(graph, tables=tuple(tables), scene=now), int(np.sum(wall != scene.wall))
 
 
 def map_of(problem: Problem, solution: Solution) -> Map | None:
@@ -110,9 +139,13 @@ def map_of(problem: Problem, solution: Solution) -> Map | None:
     if scene is None:
         return None if marks is None else Map(marks=marks)
     walls = scene.walls(point.landmarks, solution.landmark_covariance, point.states[:, :3])
+    unsure = walls.covariance[:, 0, 0] > UNSURE**2
+    place = np.where(unsure, -1, np.cumsum(~unsure) - 1)
+    wall = np.where(scene.wall >= 0, place[scene.wall], -1)
+    walls = walls.select(np.flatnonzero(~unsure))
     # A map's segments say which of the drive's scans they are of, not which of those in use.
     segments = replace(scene.segments, scan=scene.numbers[scene.segments.scan])
-    return Map(walls, segments, scene.wall, marks)
+    return Map(walls, segments, wall, marks)
 
 
 def _laid_out(problem: Problem, front: Front, scene: Scene) -> Floats:
@@ -170,24 +203,16 @@ def _associated(
     """
     poses = lidar_poses(point.states[scene.at, :3], scene.scans.mount)
     walls, wall = associate(scene.segments, poses, slack, known)
-    same = duplicates(walls, slack)
+    noise = single_noise(scene.segments, wall, walls.normal.size)
+    same = duplicates(walls, slack, noise)
     wall = np.where(wall >= 0, same[wall], -1)
     sightings = np.bincount(wall[wall >= 0], minlength=walls.normal.size)
     kept = np.flatnonzero(sightings >= FEWEST)
     place = np.full(walls.normal.size, -1, np.int64)
     place[kept] = np.arange(kept.size)
     wall = np.where(wall >= 0, place[wall], -1)
-    return (
-        Walls(
-            walls.normal[kept],
-            walls.offset[kept],
-            walls.anchor[kept],
-            walls.reach[kept],
-            walls.covariance[kept],
-            sightings[kept].astype(np.int64),
-        ),
-        wall,
-    )
+    walls = replace(walls.select(kept), sightings=sightings[kept].astype(np.int64))
+    return walls, wall
 
 
 def _told_by_walls(scene: Scene, front: Front, walls: Walls, wall: Stamps) -> tuple[Stamps, Stamps]:
