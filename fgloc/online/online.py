@@ -41,9 +41,9 @@ class OnlineSmoother:
         session.run()
         engine = session.engine
         engine.finish()
-        known, b = engine.smoother.posterior, engine.layout.width
+        known, b, g = engine.smoother.posterior, engine.layout.width, len(engine.layout.parameters)
         calibration, covariance = calibration_of(
-            engine.layout.parameters, known.calibration, known.covariance[b:, b:]
+            engine.layout.parameters, known.border[:g], known.covariance[b : b + g, b : b + g]
         )
         slips = slips_of(engine)
         start_ns = int(drive.wheels.stamps_ns[0])

@@ -15,8 +15,9 @@ from fgloc.core.measurements import Floats, Stamps
 from fgloc.core.preintegration import SplitIncrements, rounding_sigma
 from fgloc.factors.robust import Loss
 from fgloc.factors.slip import slip_effect
-from fgloc.factors.tables import FactorTable, Kind
+from fgloc.factors.tables import LANDMARK, FactorTable, Kind
 from fgloc.online.growing import GrowingArray
+from fgloc.online.landmarks import Landmarks, wider
 from fgloc.online.layout import Layout
 from fgloc.online.live_table import LiveTable
 from fgloc.smoothing.problem import HIDDEN, Problem, predicted_displacement
@@ -55,6 +56,7 @@ class Window:
         self.slip_history: list[tuple[int, int, Floats, Floats]] = []
         self._pieces = 0
         self._dropped = 0
+        self.landmarks = Landmarks(layout.width, n - layout.width)
         self.tables: dict[tuple[str, Kind], LiveTable] = {}
         f = len(layout.free)
         self.wheels = self.table(Kind.WHEEL, WHEELS, (3 + 3 * f, 3), slice(0, f), wheel_loss)
@@ -64,10 +66,10 @@ class Window:
         self._latest = np.zeros(n - layout.width)
         self.prior: FactorTable | None = None
         # What elimination carried to each keyframe (square-root information of its state and the
-        # calibration by everything older), and where it was linearised.
+        # border by everything older), and where it was linearised.
         self.carry = GrowingArray((n, n + 1))
         self.linear_states = GrowingArray((layout.width,))
-        self.linear_calibration = GrowingArray((n - layout.width,))
+        self.linear_border = GrowingArray((n - layout.width,))
 
     @property
     def newest(self) -> int:
@@ -86,7 +88,11 @@ class Window:
         """Return the live table of a kind and sensor, made on first use."""
         key = (sensor, kind)
         if key not in self.tables:
-            self.tables[key] = LiveTable(kind, sensor, sizes, calibration, loss, slot)
+            marks = self.landmarks
+            places = marks.places if kind in LANDMARK else None
+            self.tables[key] = LiveTable(
+                kind, sensor, sizes, calibration, loss, slot, places, marks.parameters
+            )
         return self.tables[key]
 
     def add_piece(self, angles: Floats, steering: Floats, seconds: float) -> None:
@@ -107,7 +113,7 @@ class Window:
             self.slipped = self.newest
         self.carry.append(0.0)
         self.linear_states.append(state)
-        self.linear_calibration.append(0.0)
+        self.linear_border.append(0.0)
         return self.newest
 
     def close_interval(self, calibration: Floats) -> None:
@@ -262,12 +268,41 @@ class Window:
             turn_spread=np.zeros((unknown.size, 2)),
         )
 
+    def widen(self, guesses: Floats, root: Floats) -> None:
+        """Give the border more columns, of which `root` (m, m) is known about `guesses` (m,)."""
+        assert self.prior is not None
+        self.prior = wider(self.prior, self.layout.width, guesses, root)
+        self.landmarks.aside.widen(guesses)
+        old, at = self.carry.view, self.linear_border.view
+        k, n, m = old.shape[0], old.shape[1], guesses.size
+        carry, border = np.zeros((k, n + m, n + m + 1)), np.zeros((k, at.shape[1] + m))
+        carry[:, :n, :n], carry[:, :n, -1] = old[:, :, :n], old[:, :, n]
+        carry[:, n:, n:-1] = root
+        border[:, : at.shape[1]], border[:, at.shape[1] :] = at, guesses
+        self._carry(carry, border)
+
+    def rearrange(self, columns: int) -> None:
+        """Give the border another number of columns; nothing is carried to any keyframe."""
+        k, n = len(self.stamps_ns), self.layout.width + columns
+        self._carry(np.zeros((k, n, n + 1)), np.zeros((k, columns)))
+
+    def _carry(self, carry: Floats, border: Floats) -> None:
+        """Hold what is carried, and where the border was linearised, in other sizes."""
+        room = 2 * carry.shape[0] + 16
+        self.carry = GrowingArray(carry.shape[1:], capacity=room)
+        self.carry.replace(carry)
+        self.linear_border = GrowingArray(border.shape[1:], capacity=room)
+        self.linear_border.replace(border)
+
     def factors(self, begin: int, tables: Iterable[LiveTable]) -> list[FactorTable]:
-        """Return the factors of live tables from keyframe `begin` on, but for the wheels'."""
+        """Return the factors of live tables from keyframe `begin` on.
+
+        But for the wheels', and for those that see landmarks.
+        """
         found = []
         for live in tables:
             rows = live.rows(begin, self.newest + 1)
-            if rows.start < rows.stop and live is not self.wheels:
+            if rows.start < rows.stop and live is not self.wheels and not live.sees_landmarks:
                 found.append(live.view(rows, begin))
         return found
 
@@ -288,7 +323,7 @@ class Window:
             self._bounds,
             self.carry,
             self.linear_states,
-            self.linear_calibration,
+            self.linear_border,
         ):
             column.drop(count)
         for increments in (self._angles, self._steering, self._seconds):
