@@ -39,9 +39,7 @@ class Aside:
 
     def values(self, state: Floats, border: Floats) -> Floats:
         """Return the landmarks' means (I, 2) where first state and border are as given."""
-        return np.asarray(
-            (self.mean + self.gain @ self.deviation(state, border)).reshape(-1, 2)
-        )
+        return np.asarray((self.mean + self.gain @ self.deviation(state, border)).reshape(-1, 2))
 
     def marginals(self, joint: Floats) -> Floats:
         """Return the marginal covariances (I, 2, 2), given that (B+n, B+n) of the deviations."""
@@ -124,9 +122,7 @@ class Aside:
         self.numbers = self.numbers + numbers
         self.mean = np.concatenate([self.mean, at + inverse @ right])
         self.gain = np.concatenate([self.gain, -inverse @ others])
-        self.covariance = np.block(
-            [[self.covariance, cross], [cross.T, inverse @ inverse.T]]
-        )
+        self.covariance = np.block([[self.covariance, cross], [cross.T, inverse @ inverse.T]])
         self.border = self.border[keep[self.width :] - self.width]
 
     def take(self, numbers: list[int]) -> tuple[Floats, Floats, Floats]:

@@ -67,9 +67,7 @@ def _factors(window: Window) -> tuple[list[FactorTable], list[LiveTable], list[s
     return [window.prior, *views], live, rows
 
 
-def _evaluate(
-    window: Window, tables: list[FactorTable], states: Floats, border: Floats
-) -> _Point:
+def _evaluate(window: Window, tables: list[FactorTable], states: Floats, border: Floats) -> _Point:
     """Linearise all factors somewhere."""
     marks = window.landmarks.positions(border)
     linear = [linearise(table, states, border, marks) for table in tables]
@@ -80,9 +78,7 @@ def _evaluate(
     return _Point(states, border, linear, weights, cost)
 
 
-def _step(
-    window: Window, tables: list[FactorTable], at: _Point, damping: float
-) -> _Point | None:
+def _step(window: Window, tables: list[FactorTable], at: _Point, damping: float) -> _Point | None:
     """Take one damped step; None if the factors do not determine it."""
     system = stack(
         list(zip(tables, at.linear, at.weights, strict=True)),

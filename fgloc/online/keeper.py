@@ -54,9 +54,7 @@ class Keeper:
         known = replace(posterior, border=wide, root=whole, covariance=covariance)
         return numbers, np.append(border, guesses), known
 
-    def put_aside(
-        self, numbers: list[int], border: Floats, joint: Floats
-    ) -> tuple[Floats, Floats]:
+    def put_aside(self, numbers: list[int], border: Floats, joint: Floats) -> tuple[Floats, Floats]:
         """Put landmarks aside that nothing in the window sees.
 
         Returns the border and the joint covariance (B+n, B+n) of the newest state and the border

@@ -77,9 +77,7 @@ def wider(prior: FactorTable, width: int, guesses: Floats, root: Floats) -> Fact
     n, m = offset.size, guesses.size
     whole = np.zeros((n + m, n + m))
     whole[:n, :n], whole[n:, n:] = prior.sqrt_information[0], root
-    return joined(
-        prior, state, np.append(border, guesses), np.append(offset, np.zeros(m)), whole
-    )
+    return joined(prior, state, np.append(border, guesses), np.append(offset, np.zeros(m)), whole)
 
 
 def put_aside(

@@ -111,7 +111,7 @@ def notes(engine: OnlineEngine) -> Iterator[str]:
     if engine.rebuilds:
         times = "once" if engine.rebuilds == 1 else f"{engine.rebuilds} times"
         yield f"the window was rebuilt {times} because its solution failed"
-    if engine.aligner is not None and engine.aligner.fixes:
+    if engine.spots.aligner is not None and engine.spots.aligner.fixes:
         yield "the fixes do not tell where the drive started; poses are relative to its start"
 
 

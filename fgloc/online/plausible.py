@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from fgloc.core.measurements import CameraPoses, Floats, PoseFixes, PositionFixes, Sensor
+from fgloc.core.measurements import (
+    CameraPoses,
+    Floats,
+    LandmarkSightings,
+    PoseFixes,
+    PositionFixes,
+    Sensor,
+)
 
 LARGEST = 1e9
 """No position [m], angle [rad] or rate [rad/s] is larger: digits are lost beyond."""
@@ -20,7 +27,7 @@ SHORTEST_S = 1.0
 
 def size_of(sensor: Sensor) -> int:
     """Return how many numbers a reading of a sensor has."""
-    if isinstance(sensor, CameraPoses | PoseFixes):
+    if isinstance(sensor, CameraPoses | PoseFixes | LandmarkSightings):
         return 3
     return 2 if isinstance(sensor, PositionFixes) else 1
 

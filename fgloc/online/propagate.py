@@ -9,6 +9,7 @@ from fgloc.core.measurements import Floats
 from fgloc.core.preintegration import Integrator
 from fgloc.online.layout import Layout
 from fgloc.online.priors import Posterior
+from fgloc.online.window import Window
 
 
 class Propagation:
@@ -84,3 +85,23 @@ class Propagation:
         """Return a covariance in the anchor's axes turned to the axes of now."""
         turned: Floats = rotate_covariance(covariance, -self._integrator.displacement[2])
         return turned
+
+
+def moved_from(window: Window, number: int, stamp_ns: int) -> Floats:
+    """Return where (3,) the wheels had brought the robot at a stamp, seen from a keyframe before.
+
+    At the newest calibration that the window knows. O(packets after the keyframe).
+    """
+    integrator = Integrator(window.layout.robot)
+    integrator.restart(window.layout.values(window.latest))
+    left = (stamp_ns - window.stamp(number)) * 1e-9
+    pieces = window.split(number, number + 2)
+    for angles, steering, seconds in zip(
+        pieces.angles, pieces.steering, pieces.seconds, strict=True
+    ):
+        part = min(1.0, left / seconds)
+        integrator.add(angles * part, steering, seconds * part)
+        left -= seconds
+        if left <= 0.0:
+            break
+    return integrator.displacement

@@ -11,6 +11,7 @@ from fgloc.core.drive import Drive
 from fgloc.core.measurements import (
     CameraPoses,
     Floats,
+    LandmarkSightings,
     PoseFixes,
     PositionFixes,
     Sensor,
@@ -48,6 +49,8 @@ def _columns(sensor: Sensor) -> tuple[Floats, Floats | None] | None:
         return sensor.positions, sensor.sigma
     if isinstance(sensor, PoseFixes):
         return sensor.poses, sensor.sigma
+    if isinstance(sensor, LandmarkSightings):
+        return np.column_stack([sensor.landmark, sensor.range_m, sensor.bearing]), None
     return None
 
 

@@ -179,9 +179,10 @@ class WindowSmoother:
     def update(self, dirty: int | None, joint: Floats, moved: Floats) -> dict[str, Floats]:
         """Smooth from the oldest keyframe with a new factor, `dirty`, on.
 
-        `joint` (B+n, B+n) is the predicted covariance of the newest state and the border, `moved` (3, 3) that of the wheels' displacement since the last step; what new measurements
-        are worth is judged by them. Returns the last weights of all factors that left the window,
-        by sensor.
+        `joint` (B+n, B+n) is the predicted covariance of the newest state and the border, `moved`
+        (3, 3) that of the wheels' displacement since the last step; what new measurements are
+        worth is judged by them. Returns the last weights of all factors that left the window, by
+        sensor.
         """
         window, solved = self.window, self.posterior
         self._since_whole += window.newest - solved.number

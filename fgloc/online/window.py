@@ -63,7 +63,7 @@ class Window:
         # The calibration at which the wheels' displacements were integrated last.
         self._reference = np.zeros(n - layout.width)
         # The newest calibration: what the wheels predict for other sensors is taken there.
-        self._latest = np.zeros(n - layout.width)
+        self.latest = np.zeros(n - layout.width)
         self.prior: FactorTable | None = None
         # What elimination carried to each keyframe (square-root information of its state and the
         # border by everything older), and where it was linearised.
@@ -118,7 +118,7 @@ class Window:
 
     def close_interval(self, calibration: Floats) -> None:
         """Make the wheels' factor between the two newest keyframes."""
-        self._latest = calibration.copy()
+        self.latest = calibration.copy()
         table = self._wheel_table(self.newest - 1, calibration)
         self.wheels.add(
             self.newest - 1, table.measurements[0], table.sqrt_information[0], weight=1.0
@@ -183,7 +183,7 @@ class Window:
         """Return the (3,) displacement from keyframe `number` to the next that wheels predict."""
         rows = self.wheels.rows(number, number + 2)
         table = self.wheels.view(rows, number)
-        moved: Floats = predicted_displacement(table, self._latest)[0]
+        moved: Floats = predicted_displacement(table, self.latest)[0]
         return moved
 
     def slips_until(self, count: int) -> list[tuple[int, int, Floats, Floats]]:

@@ -33,6 +33,8 @@ class Settings:
     """Loss of camera odometry: it loses track at times."""
     fix_loss: Loss = STRAYS
     """Loss of position and pose fixes: reflections and wrong matches."""
+    landmark_loss: Loss = STRAYS
+    """Loss of sightings of landmarks: marks taken for others, people in front of walls."""
     robust: bool = True
     """Apply the losses; False trusts every measurement alike."""
     graduated: bool = True

@@ -134,7 +134,7 @@ def test_a_start_found_after_standing_for_a_minute(
         later = replace(packet, stamp_ns=packet.stamp_ns + wait)
         feed(engine, later)
         sent.append(later)
-    assert engine.aligner is None
+    assert engine.spots.aligner is None
     metres, turn = final_error(engine.propagation.state, drive.truth.trajectory.poses[-1])
     assert metres < 0.15, metres
     assert turn < 0.15, turn
