@@ -8,11 +8,14 @@ from pathlib import Path
 
 from fgloc.core.drive import Drive
 from fgloc.datasets import (
+    breezyslam,
+    csail,
     jackal_jackass,
     optiodom,
     polimi_mecanum,
     robot_localization_bags,
     turtlebot3_db3,
+    utias_mrclam,
     vitko_swerve,
 )
 from fgloc.io.bag_drive import BagDrive
@@ -100,6 +103,33 @@ DATASETS: dict[str, Dataset] = {
             turtlebot3_db3.runs,
             None,
             turtlebot3_db3.load,
+        ),
+        Dataset(
+            csail.NAME,
+            "odometry and a SICK laser",
+            "none stated; public benchmark",
+            "https://github.com/xiaofeng419/SLAM-2D-LIDAR-SCAN",
+            "0",
+            csail.runs,
+            csail.load,
+        ),
+        Dataset(
+            utias_mrclam.NAME,
+            "iRobot Creates that see barcodes",
+            "educational use; cite Leung et al., IJRR 2011",
+            "http://asrl.utias.utoronto.ca/datasets/mrclam/",
+            "6/1",
+            utias_mrclam.runs,
+            utias_mrclam.load,
+        ),
+        Dataset(
+            breezyslam.NAME,
+            "differential, URG-04LX laser",
+            "LGPL-3.0",
+            "https://github.com/simondlevy/BreezySLAM",
+            "exp2",
+            breezyslam.runs,
+            breezyslam.load,
         ),
     )
 }

@@ -11,10 +11,12 @@ Whole numbers are exact to 2^53, stamps to 2^63; other numbers are written with 
     fixes,100000000,0.05,0.0,0.02
     truth,100000000,0.0535,0.0003,0.006
 
-Each row is a stream's name, an int64 stamp in nanoseconds and its values. Line 2 is JSON: either
-the full header of `fgloc.datasets.own_format`, which `write_csv` puts there and which describes
-every stream, or the short form above: `robot` with the `kind` of a base and the arguments of its
-constructor in `fgloc.core.bases`, optionally `motion`. In the short form these streams are known:
+Each row is a stream's name, an int64 stamp in nanoseconds and its values; rows of what a stream
+owns beside its measurements, such as a survey of landmarks, have their number instead of a stamp.
+Line 2 is JSON: either the full header of `fgloc.datasets.own_format`, which `write_csv` puts there
+and which describes every stream, or the short form above: `robot` with the `kind` of a base and the
+arguments of its constructor in `fgloc.core.bases`, optionally `motion`. In the
+short form these streams are known:
 
 - wheels: wheel angles [rad] since the wheels row before, forward positive, in the order of the
   base's driven wheels, then (steered bases) as many steering angles [rad]; the first row, without
@@ -65,6 +67,7 @@ from fgloc.datasets.text import (
     numbered,
     parse_rows,
     read_lines,
+    steady_stamps,
 )
 from fgloc.errors import FglocError
 
@@ -91,8 +94,8 @@ def write_csv(drive: Drive, path: Path) -> None:
     out = io.StringIO()
     out.write(f"{MAGIC}\n# {json.dumps(header, ensure_ascii=False)}\n# stream,stamp_ns,values\n")
     for stream, members in _streams(arrays).items():
-        stamps = arrays[f"{stream}.stamps_ns"]
         columns = [value.reshape(value.shape[0], -1).tolist() for value in members.values()]
+        stamps = arrays.get(f"{stream}.stamps_ns", np.arange(len(columns[0]) if columns else 0))
         opening = stamps.size - len(columns[0])
         rows: list[list[Any]] = [[] for _ in range(opening)]
         rows += [list(chain.from_iterable(row)) for row in zip(*columns, strict=True)]
@@ -131,7 +134,8 @@ def read_csv(path: Path, name: str | None = None) -> Drive:
         found = streams.pop(stream, None)
         if found is None:
             found = Stream(np.zeros(0, np.int64), [], np.zeros(0, np.int64))
-        _fill(stream, members, found, path, arrays, rejected)
+        stamped = f"{stream}.stamps_ns" in shapes
+        _fill(stream, members, found, path, arrays, rejected, stamped=stamped)
     _nothing_left(streams, path)
     drive = decode(header, arrays, path, name)
     if drive.truth is not None and not len(drive.truth.trajectory):
@@ -210,8 +214,13 @@ def _fill(
     path: Path,
     arrays: Arrays,
     rejected: Counter[str],
+    *,
+    stamped: bool = True,
 ) -> None:
-    """Parse a stream into its arrays as the header describes them, dropping unusable rows."""
+    """Parse a stream into its arrays as the header describes them, dropping unusable rows.
+
+    Rows that are not `stamped` are numbered, and in no order of time.
+    """
     widths = [int(np.prod(shape["shape"][1:])) for shape in members.values()]
     width = sum(widths)
     interval = any(key.endswith(".angles") for key in members)
@@ -228,8 +237,9 @@ def _fill(
     else:
         good = finite_rows(values, rejected, f"{name} {NOT_A_NUMBER}")
         stamps, values = stream.stamps[good], values[good]
-        if not repeats:
-            later = forward_stamps(stamps, rejected, f"{name} ")
+        if stamped:
+            check = steady_stamps if repeats else forward_stamps
+            later = check(stamps, rejected, f"{name} ")
             stamps, values = stamps[later], values[later]
     arrays[f"{name}.stamps_ns"] = stamps
     for (key, shape), part in zip(

@@ -1,6 +1,7 @@
 """A whole drive in one npz file, without loss: numbers as arrays, everything else as JSON.
 
-The archive holds one array a field, named `<stream>.<field>` (e.g. `yaw.stamps_ns`), and `header`:
+The archive holds one array a field, named `<stream>.<field>` (e.g. `yaw.stamps_ns`; what a stream
+owns beside its rows is `<stream>.<part>.<field>`, e.g. `marks.survey.positions`), and `header`:
 UTF-8 JSON as bytes, `{"format": "fgloc-drive", "version": 1, "drive": …}`. In it an object is
 `{"type": class, field: value, …}`, an array `{"array": name, "dtype": …, "shape": …}`, a mapping
 `{"map": …}`. Nothing in a file is executed: classes come from a fixed list, pickles are refused.
@@ -126,6 +127,8 @@ def _encode(value: Any, prefix: str, arrays: Arrays) -> Any:
             place = getattr(item, "sensor", None)
             if isinstance(item, Reference) or place is None:
                 place = prefix
+            if _is_part(value, item):
+                place = f"{place}.{field.name}"
             flat = isinstance(item, np.ndarray)
             node[field.name] = _encode(item, f"{place}.{field.name}" if flat else place, arrays)
         return node
@@ -134,6 +137,15 @@ def _encode(value: Any, prefix: str, arrays: Arrays) -> Any:
     if isinstance(value, tuple | list):
         return [_encode(v, getattr(v, "sensor", prefix), arrays) for v in value]
     return value.item() if isinstance(value, np.generic) else value
+
+
+def _is_part(owner: Any, item: Any) -> bool:
+    """Return True for what a stream owns beside its rows, e.g. the survey of its landmarks.
+
+    Its arrays have rows of their own, and may be called as the stream's are.
+    """
+    owns = hasattr(owner, "sensor") and not isinstance(owner, Reference)
+    return owns and dataclasses.is_dataclass(item)
 
 
 def _decode(node: Any, arrays: Arrays) -> Any:

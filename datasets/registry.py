@@ -13,7 +13,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from fgloc.core.drive import Drive
-from fgloc.datasets import jaguar, jaguar_lines, own_csv, own_format
+from fgloc.datasets import carmen, carmen_lines, jaguar, jaguar_lines, own_csv, own_format
 from fgloc.datasets.catalogue import DATASETS as DATASETS
 from fgloc.datasets.catalogue import Dataset
 from fgloc.datasets.plausible import check_plausible
@@ -223,11 +223,14 @@ def _load_path(path: Path, name: str, given: TopicMap | None) -> Drive | BagDriv
         return own_csv.read_csv(path, name)
     if any(jaguar_lines.looks_like(line) for line in head):
         return jaguar.load(path, name)
+    if any(carmen_lines.looks_like(line) for line in head):
+        return carmen.load(path, name)
     if not data.strip():
         raise FglocError("the file is empty; record or download it again", file=path)
     raise FglocError(
         "the format is not known; readable are npz and CSV files of fgloc "
-        f"(first line {own_csv.MAGIC!r}), ROS bags ({', '.join(BAG_SUFFIXES)}), Jaguar text logs",
+        f"(first line {own_csv.MAGIC!r}), ROS bags ({', '.join(BAG_SUFFIXES)}), Jaguar, CARMEN "
+        "and gfs logs",
         file=path,
     )
 

@@ -209,6 +209,13 @@ def forward_stamps(stamps: Stamps, rejected: Counter[str], prefix: str = "") -> 
     return keep
 
 
+def steady_stamps(stamps: Stamps, rejected: Counter[str], prefix: str = "") -> Mask:
+    """Return the mask of stamps not earlier than any before them, counting the backward ones."""
+    keep: Mask = np.asarray(stamps >= np.maximum.accumulate(stamps))
+    count(rejected, prefix + BACKWARD, int((~keep).sum()))
+    return keep
+
+
 def seconds_to_ns(seconds: Floats) -> Stamps:
     """Return times [s] as int64 nanoseconds, rounded (the whole seconds apart, to keep digits)."""
     whole = np.floor(seconds)

@@ -74,6 +74,8 @@ class Bundle:
         newest = {row.keyframe for row in rows}
         if len(newest) != 1:
             raise FglocError(f"a bundle needs rows of one keyframe, got {sorted(newest)}")
+        if any(row.table.links and not row.table.sees_landmarks for row in rows):
+            raise FglocError("scans matched far apart are for the batch smoother")
         self.rows = tuple(rows)
         self.last = newest.pop()
         """Newest keyframe."""

@@ -15,6 +15,7 @@ from fgloc.factors.kernels.camera import camera_odometry
 from fgloc.factors.kernels.fix import pose_fix, position_fix
 from fgloc.factors.kernels.heading import yaw, yaw_rate, zero_prior, zero_walk
 from fgloc.factors.kernels.lidar import range_bearing, wall
+from fgloc.factors.kernels.match import scan_match
 from fgloc.factors.kernels.motion import calibration_walk, zero_velocity
 from fgloc.factors.kernels.prior import state_prior
 from fgloc.factors.kernels.slip import (
@@ -49,6 +50,7 @@ class Kind(IntEnum):
     SLIP_WALK = 15
     SLIP_SIDE = 16
     WHEEL_REDUNDANCY = 17
+    SCAN_MATCH = 18
 
 
 KERNELS: dict[Kind, Callable[..., None]] = {
@@ -70,6 +72,7 @@ KERNELS: dict[Kind, Callable[..., None]] = {
     Kind.SLIP_WALK: slip_walk,
     Kind.SLIP_SIDE: slip_side,
     Kind.WHEEL_REDUNDANCY: wheel_redundancy,
+    Kind.SCAN_MATCH: scan_match,
 }
 """The kernels by kind, for tests and for single factors; the compiled loop dispatches itself."""
 
@@ -92,6 +95,7 @@ COMPONENTS: dict[Kind, tuple[str, ...]] = {
     Kind.SLIP_WALK: ("change of slip [1]",),
     Kind.SLIP_SIDE: ("slip on the unlikely side [1]",),
     Kind.WHEEL_REDUNDANCY: (),
+    Kind.SCAN_MATCH: ("forward [m]", "left [m]", "heading [rad]"),
 }
 """Leading residual components with units; all of them but for STATE_PRIOR, CALIBRATION_WALK and
 WHEEL_REDUNDANCY, whose number depends on the state or the wheels."""
@@ -115,6 +119,7 @@ ROW: dict[Kind, int] = {
     Kind.SLIP_WALK: 1,
     Kind.SLIP_SIDE: 1,
     Kind.WHEEL_REDUNDANCY: 1,
+    Kind.SCAN_MATCH: 6,
 }
 """Fewest numbers in a measurement row; wheels add 3 a calibration variable, priors have 2 (B+G)."""
 
@@ -135,6 +140,9 @@ PAIRWISE = frozenset(
 
 LANDMARK = frozenset({Kind.WALL, Kind.RANGE_BEARING})
 """Kinds that join keyframe `first` and landmark `second`."""
+
+LINKING = LANDMARK | {Kind.SCAN_MATCH}
+"""Kinds that join keyframe `first` and what `second` says: they make more than a chain."""
 
 
 @dataclass(frozen=True)
@@ -158,12 +166,12 @@ class FactorTable:
     slot: int = -1
     """State column of the sensor's drifting zero or (first) slip, -1 for none."""
     second: Stamps | None = None
-    """(M,) landmark index of each factor, for the kinds that see landmarks; None for the rest."""
+    """(M,) landmark or keyframe index of each factor, for `LINKING` kinds; None for the rest."""
 
     def __post_init__(self) -> None:
-        if self.sees_landmarks != (self.second is not None):
-            need = "needs" if self.sees_landmarks else "has no use for"
-            raise FglocError(f"{self.sensor}: a {self.kind.name} table {need} landmark indices")
+        if self.links != (self.second is not None):
+            need = "needs" if self.links else "has no use for"
+            raise FglocError(f"{self.sensor}: a {self.kind.name} table {need} second indices")
         # Compiled code does not check bounds: a missing column would be read from elsewhere.
         least = ROW[self.kind]
         if self.kind in (Kind.WHEEL, Kind.WHEEL_SLIP):
@@ -182,6 +190,11 @@ class FactorTable:
     def sees_landmarks(self) -> bool:
         """Return True if each factor joins keyframe `first` and landmark `second`."""
         return self.kind in LANDMARK
+
+    @property
+    def links(self) -> bool:
+        """Return True if each factor joins keyframe `first` and what `second` counts."""
+        return self.kind in LINKING
 
     @property
     def pairwise(self) -> bool:
@@ -224,9 +237,11 @@ def linearise(
     g = calibration[table.calibration]
     others, second = states, table.first + 1 if table.pairwise else table.first
     if table.second is not None:
+        second = table.second
+    if table.sees_landmarks:
         if landmarks is None:
             raise FglocError(f"{table.sensor}: this table sees landmarks, but none were given")
-        others, second = np.ascontiguousarray(landmarks), table.second
+        others = np.ascontiguousarray(landmarks)
     out = Linearised(
         np.zeros((m, d)),
         np.zeros((m, d, b)),
@@ -235,7 +250,7 @@ def linearise(
     )
     _linearise(
         int(table.kind),
-        table.pairwise or table.sees_landmarks,
+        table.pairwise or table.links,
         table.first,
         second,
         table.measurements,
@@ -310,8 +325,10 @@ def evaluate_kernel(
         slip_walk(xi, xj, g, m, slot, r, ji, jj, jg)
     elif kind == 16:
         slip_side(xi, xj, g, m, slot, r, ji, jj, jg)
-    else:
+    elif kind == 17:
         wheel_redundancy(xi, xj, g, m, slot, r, ji, jj, jg)
+    else:
+        scan_match(xi, xj, g, m, slot, r, ji, jj, jg)
 
 
 @compiled

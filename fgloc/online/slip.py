@@ -19,8 +19,8 @@ from fgloc.online.priors import carried_prior, without_landmarks
 from fgloc.online.settings import OnlineSettings
 from fgloc.online.smoother import WindowSmoother
 from fgloc.online.window import GUESSED
-from fgloc.smoothing.arrow import solve
 from fgloc.smoothing.minimise import CalibrationPrior, linear_system, minimise
+from fgloc.smoothing.network import step_of
 from fgloc.smoothing.slip import (
     GAIN,
     SELDOM,
@@ -200,7 +200,7 @@ class SlipWatch:
     def _sigmas(self, found: Explanation) -> Floats:
         """Return the (K-1, W) posterior standard deviations of the slips."""
         free = CalibrationPrior.flat(found.point.u.size)
-        solved = solve(linear_system(free, found.point), 0.0, with_covariance=True)
+        solved = step_of(linear_system(free, found.point), with_covariance=True)
         slot, wheels = found.problem.slip_slot, self._smoother.window.slipping.size
         if solved is None or solved.covariance is None:
             return np.full((found.point.states.shape[0] - 1, wheels), GUESSED)

@@ -11,7 +11,7 @@ the rounding of a Cholesky factor. O(K·(B+G)²·B) in time, O(K·B·(B+G)) in m
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -67,6 +67,10 @@ class ArrowSolution:
     """(K, B, B) marginal covariances of the keyframes in their own axes."""
     calibration_covariance: Floats | None = None
     """(G, G) marginal covariance of the calibration."""
+    landmark_step: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+    """(L, 2) landmark steps; none in a chain."""
+    landmark_covariance: Floats | None = None
+    """(L, 2, 2) marginal covariances of the landmarks."""
 
 
 def stack(
@@ -78,13 +82,14 @@ def stack(
 ) -> ChainRows:
     """Return the rows of linearised tables with their robust weights (M,), sorted by keyframe.
 
-    `prior` (P, G + 1) are rows on the calibration alone. The landmarks, where there are any, are
-    part of it from column `landmarks` on, two columns each. Raises FglocError for factors that
-    see landmarks without: they make the graph more than a chain. O(N).
+    `prior` (P, G + 1) are rows on the calibration alone. Landmarks may be part of it, from column
+    `landmarks` on, two columns each: few of them, since all are dense. Raises FglocError for
+    factors that see landmarks without that, or join keyframes far apart: see `smoothing.network`
+    and `smoothing.isam`. O(N).
     """
     for table, _, _ in linear:
-        if table.sees_landmarks and landmarks < 0:
-            raise FglocError(f"{table.sensor}: landmarks do not fit into a chain")
+        if table.links and not (table.sees_landmarks and landmarks >= 0):
+            raise FglocError(f"{table.sensor}: landmarks and matches do not fit into a chain")
     g = prior.shape[1] - 1
     count = np.zeros(keyframes, dtype=np.int64)
     for table, _, _ in linear:

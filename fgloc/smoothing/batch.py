@@ -119,7 +119,9 @@ def _residuals(problem: Problem, solution: Solution) -> tuple[SensorResiduals, .
             sensor=table.sensor,
             components=COMPONENTS[table.kind],
             stamps_ns=problem.keyframes_ns[table.first],
-            values=residuals(table, solution.point.states, solution.point.u),
+            values=residuals(
+                table, solution.point.states, solution.point.u, solution.point.landmarks
+            ),
             normalised=rows.residual,
             weights=weight,
         )

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fgloc.core.measurements import Floats
 from fgloc.smoothing.arrow import ArrowSolution, ChainRows
 
 if TYPE_CHECKING:
@@ -33,18 +34,10 @@ def solve_with_gtsam(system: ChainRows, damping: float = 0.0) -> ArrowSolution |
     keyframes = system.bounds.size - 1
     shared = keyframes
     graph = gtsam.GaussianFactorGraph()
-    _add_rows(graph, system)
-    if g:
-        unit = gtsam.noiseModel.Unit.Create(system.prior.shape[0])
-        prior = system.prior[:, :g], system.prior[:, g]
-        graph.add(gtsam.JacobianFactor(shared, *prior, unit))
+    add_chain(graph, system, shared)
     if damping > 0.0:
         by_keyframe, by_calibration = system.squared_norms()
-        damped = [*by_keyframe, by_calibration] if g else [*by_keyframe]
-        for key, squared in enumerate(damped):
-            unit = gtsam.noiseModel.Unit.Create(squared.size)
-            extra = np.diag(np.sqrt(damping * squared))
-            graph.add(gtsam.JacobianFactor(key, extra, np.zeros(squared.size), unit))
+        add_damping(graph, [*by_keyframe, by_calibration] if g else [*by_keyframe], damping)
     ordering = _cyclic_reduction(keyframes, g > 0)
     for function in ((), (gtsam.EliminateQR,)):  # GTSAM's default is Cholesky
         try:
@@ -58,12 +51,29 @@ def solve_with_gtsam(system: ChainRows, damping: float = 0.0) -> ArrowSolution |
     return None
 
 
-def _add_rows(graph: gtsam.GaussianFactorGraph, system: ChainRows) -> None:
-    """Add one factor a keyframe: all its rows, by itself, the next one and the calibration."""
+def add_damping(graph: gtsam.GaussianFactorGraph, squared: list[Floats], damping: float) -> None:
+    """Add damping·diag(JᵀJ), given the squared column norms of every variable, by its key."""
     import gtsam
 
-    b, last = system.width, system.bounds.size - 2
-    shared = last + 1
+    for key, norms in enumerate(squared):
+        unit = gtsam.noiseModel.Unit.Create(norms.size)
+        extra = np.diag(np.sqrt(damping * norms))
+        graph.add(gtsam.JacobianFactor(key, extra, np.zeros(norms.size), unit))
+
+
+def add_chain(graph: gtsam.GaussianFactorGraph, system: ChainRows, shared: int) -> None:
+    """Add one factor a keyframe, and the calibration's prior.
+
+    A keyframe's factor holds all its rows, by itself, the next one and the calibration, whose key
+    is `shared`; keyframes are keys from 0 on.
+    """
+    import gtsam
+
+    b, g, last = system.width, system.calibration, system.bounds.size - 2
+    if g:
+        unit = gtsam.noiseModel.Unit.Create(system.prior.shape[0])
+        prior = system.prior[:, :g], system.prior[:, g]
+        graph.add(gtsam.JacobianFactor(shared, *prior, unit))
     first, second = system.rows[:, :b], system.rows[:, b : 2 * b]
     border, right = system.rows[:, 2 * b : -1], system.rows[:, -1]
     most = int(np.diff(system.bounds).max())

@@ -99,8 +99,10 @@ def _untorn(
 ) -> tuple[Point, int]:
     """Solve from `start` first with quadratic wheels, then with their own loss; iterations too."""
     rough = replace(settings, tolerance=SETTLED)
-    point, count, _ = minimise(rigid, rough, start.states, start.u, True)
-    point, more, _ = minimise(problem, settings, point.states, point.u, True)
+    point, count, _ = minimise(rigid, rough, start.states, start.u, True, landmarks=start.landmarks)
+    point, more, _ = minimise(
+        problem, settings, point.states, point.u, True, landmarks=point.landmarks
+    )
     return point, count + more
 
 
@@ -115,7 +117,9 @@ def _graduate(problem: Problem, settings: Settings, point: Point) -> tuple[Point
     while True:
         tables = [replace(t, loss=loss) for t, loss in zip(problem.tables, losses, strict=True)]
         stage = replace(problem, tables=tuple(tables))
-        point, count, _ = minimise(stage, settings, point.states, point.u, True)
+        point, count, _ = minimise(
+            stage, settings, point.states, point.u, True, landmarks=point.landmarks
+        )
         iterations += count
         squared = [rows.squared for rows in point.linear[1:]]
         blunt = [

@@ -11,8 +11,8 @@ from fgloc.core.compiled import compiled
 from fgloc.core.geometry import compose, compose_scalar
 from fgloc.core.measurements import Floats
 from fgloc.factors.tables import FactorTable, Linearised, linearise
-from fgloc.smoothing.arrow import ArrowSolution, ChainRows, solve, stack
-from fgloc.smoothing.elimination import solve_with_gtsam
+from fgloc.smoothing.arrow import ArrowSolution
+from fgloc.smoothing.network import LinearSystem, gather, step_of
 from fgloc.smoothing.problem import Problem, predicting, without_loss
 from fgloc.smoothing.settings import Settings
 
@@ -30,6 +30,8 @@ class Point:
     """(K, B) keyframe states: x, y, theta and drifting sensor zeros."""
     u: Floats
     """(G,) calibration in solver variables."""
+    landmarks: Floats
+    """(L, 2) landmarks, as their kernels mean them."""
     tables: tuple[FactorTable, ...]
     """All factor tables, the wheels' first, integrated at u."""
     linear: tuple[Linearised, ...]
@@ -70,12 +72,13 @@ def _evaluate(
     prior: CalibrationPrior,
     states: Floats,
     u: Floats,
+    landmarks: Floats,
     tables: Sequence[FactorTable],
     wheels: FactorTable,
 ) -> Point:
     """Linearise all tables at a state and sum up the cost."""
     everything = (wheels, *tables)
-    linear = tuple(linearise(t, states, u) for t in everything)
+    linear = tuple(linearise(t, states, u, landmarks) for t in everything)
     weights = []
     off = prior.root @ (u - prior.mean)
     cost = 0.5 * float(off @ off)
@@ -83,23 +86,15 @@ def _evaluate(
         squared = rows.squared
         cost += float(np.sum(table.loss.cost(squared)))
         weights.append(table.loss.weight(squared))
-    return Point(states, u, everything, linear, tuple(weights), cost)
+    return Point(states, u, landmarks, everything, linear, tuple(weights), cost)
 
 
-def linear_system(prior: CalibrationPrior, point: Point) -> ChainRows:
+def linear_system(prior: CalibrationPrior, point: Point) -> LinearSystem:
     """Return the weighted rows of a linearisation, the calibration prior included."""
     keyframes, width = point.states.shape
     rows = np.append(prior.root, -(prior.root @ (point.u - prior.mean))[:, None], axis=1)
     linear = list(zip(point.tables, point.linear, point.weights, strict=True))
-    return stack(linear, keyframes, width, rows)
-
-
-def _step(
-    prior: CalibrationPrior, point: Point, damping: float, solver: str
-) -> ArrowSolution | None:
-    """Solve for one step with the chosen linear solver."""
-    system = linear_system(prior, point)
-    return solve(system, damping) if solver == "arrow" else solve_with_gtsam(system, damping)
+    return gather(linear, keyframes, width, point.landmarks.shape[0], rows)
 
 
 def retract(point: Point, step: ArrowSolution, _: FactorTable) -> Floats:
@@ -187,8 +182,14 @@ def minimise(
     u: Floats,
     robust: bool,
     prior: CalibrationPrior | None = None,
+    landmarks: Floats | None = None,
 ) -> tuple[Point, int, bool]:
-    """Run Gauss–Newton with Levenberg–Marquardt damping where a plain step does not help."""
+    """Run Gauss–Newton with Levenberg–Marquardt damping where a plain step does not help.
+
+    Begins at `states` (K, B), `u` (G,) and `landmarks` (L, 2), else the problem's own. Returns the
+    minimum, how many steps were tried, and whether it was reached.
+    """
+    marks = problem.landmarks if landmarks is None else landmarks
     prior = CalibrationPrior.of(problem) if prior is None else prior
 
     def wheel_table(at: Floats, states: Floats) -> FactorTable:
@@ -202,17 +203,18 @@ def minimise(
     )
     # The weights of one run stay those of its first linearisation: costs must be comparable.
     whitening = wheels.sqrt_information
-    point = _evaluate(prior, states, u, tables, wheels)
+    point = _evaluate(prior, states, u, marks, tables, wheels)
     damping = 0.0
     for iteration in range(1, settings.max_iterations + 1):
-        step = _step(prior, point, damping, settings.solver)
+        step = step_of(linear_system(prior, point), damping, solver=settings.solver)
         trial = None
         if step is not None and np.abs(step.calibration_step).max(initial=0.0) < 2.0:
             at = point.u + step.calibration_step
             # Of the states only slips matter here, and these are simply added up.
             table = wheel_table(at, point.states + step.step)
+            marks = point.landmarks + step.landmark_step
             for move in (roll_out, retract):
-                trial = _evaluate(prior, move(point, step, table), at, tables, table)
+                trial = _evaluate(prior, move(point, step, table), at, marks, tables, table)
                 if trial.cost < point.cost:
                     break
         # A damped step may be small for that alone.

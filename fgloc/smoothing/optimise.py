@@ -8,9 +8,10 @@ import numpy as np
 
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
-from fgloc.smoothing.arrow import ArrowSolution, solve
+from fgloc.smoothing.arrow import ArrowSolution
 from fgloc.smoothing.graduate import doubtful, second_look
 from fgloc.smoothing.minimise import CalibrationPrior, Point, linear_system, minimise
+from fgloc.smoothing.network import step_of
 from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.rounding import without_rounding_bias
 from fgloc.smoothing.settings import Settings
@@ -33,6 +34,8 @@ class Solution:
     """(K, B, B) marginal covariances in keyframe axes."""
     calibration_covariance: Floats | None = None
     """(G, G) covariance of u."""
+    landmark_covariance: Floats | None = None
+    """(L, 2, 2) marginal covariances of the landmarks."""
     next_step: float | None = None
     """Largest component of the step that would come next, in its own marginal sigmas: what is
     left to gain. Known where covariances are."""
@@ -60,7 +63,9 @@ def optimise(problem: Problem, settings: Settings) -> Solution:
     iterations += last
     if settings.robust:
         plain = [point]
-        point, last, converged = minimise(problem, settings, point.states, point.u, True)
+        point, last, converged = minimise(
+            problem, settings, point.states, point.u, True, landmarks=point.landmarks
+        )
         iterations += last
         if settings.graduated and doubtful(point):
             if swept:
@@ -71,7 +76,9 @@ def optimise(problem: Problem, settings: Settings) -> Solution:
             found, more = second_look(problem, settings, plain, point)
             iterations += more
             if found is not None:
-                point, last, converged = minimise(problem, settings, found.states, found.u, True)
+                point, last, converged = minimise(
+                    problem, settings, found.states, found.u, True, landmarks=found.landmarks
+                )
                 iterations += last
     stopped = "the cost falls no further"
     if not converged:
@@ -97,7 +104,7 @@ def finish(
     if not settings.covariances:
         return solution
     prior = CalibrationPrior.of(problem)
-    final = solve(linear_system(prior, point), 0.0, with_covariance=True)
+    final = step_of(linear_system(prior, point), with_covariance=True)
     if final is None:
         raise FglocError(
             "the smoother's system is indeterminate: a sensor's noise or the robot's dimensions "
@@ -107,9 +114,10 @@ def finish(
         solution,
         covariance=final.covariance,
         calibration_covariance=final.calibration_covariance,
+        landmark_covariance=final.landmark_covariance,
         # What was taken away as bias is no step that is still to be made.
         next_step=_in_sigmas(
-            final if point is minimum else solve(linear_system(prior, minimum)), final
+            final if point is minimum else step_of(linear_system(prior, minimum)), final
         ),
     )
 

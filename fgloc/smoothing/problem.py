@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -81,6 +81,8 @@ class Problem:
     """What the user should know of how the graph was built."""
     slip_slot: int = -1
     """First of the state columns of the driven wheels' slips; -1 where none are modelled."""
+    landmarks: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+    """(L, 2) first guess of the landmarks, as their kernels mean them."""
 
     def values(self, u: Floats) -> Floats:
         """Return the robot's physical parameter values at solver variables u (G,)."""
@@ -97,9 +99,14 @@ class Problem:
         return np.unique(np.concatenate(fixes)) if fixes else np.zeros(0, np.int64)
 
     def window(self, begin: int, end: int) -> Problem:
-        """Return the problem of keyframes begin ≤ k < end, with the same calibration variables."""
+        """Return the problem of keyframes begin ≤ k < end, with the same calibration variables.
+
+        Landmarks, and scans matched far apart, are left out: what is left is a chain.
+        """
         tables = []
         for t in self.tables:
+            if t.links:
+                continue
             last = end - 1 if t.pairwise else end
             k = np.flatnonzero((t.first >= begin) & (t.first < last))
             tables.append(
@@ -126,6 +133,7 @@ class Problem:
             states=self.states[begin:end],
             turn=self.turn[begin : end - 1],
             turn_spread=self.turn_spread[begin : end - 1],
+            landmarks=np.zeros((0, 2)),
         )
 
     def with_state_prior(self, state: Floats, covariance: Floats) -> Problem:

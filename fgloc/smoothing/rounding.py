@@ -45,13 +45,13 @@ def without_rounding_bias(problem: Problem, settings: Settings, point: Point) ->
         return point, 0
     errors = draw_errors(problem.split, np.random.default_rng(0))
     off_poses, off_rest = np.zeros_like(point.states[:, :3]), np.zeros_like(point.states[:, 3:])
-    off_u = np.zeros_like(point.u)
+    off_u, off_marks = np.zeros_like(point.u), np.zeros_like(point.landmarks)
     tried = 0
     for sign in (1.0, -1.0):
         split = replace(problem.split, angles=problem.split.angles + sign * errors)
         noisier = replace(problem, split=split)
         found, steps, converged = minimise(
-            noisier, settings, point.states, point.u, settings.robust
+            noisier, settings, point.states, point.u, settings.robust, landmarks=point.landmarks
         )
         tried += steps
         if not converged:
@@ -59,10 +59,14 @@ def without_rounding_bias(problem: Problem, settings: Settings, point: Point) ->
         off_poses += 0.5 * between(point.states[:, :3], found.states[:, :3])
         off_rest += 0.5 * (found.states[:, 3:] - point.states[:, 3:])
         off_u += 0.5 * (found.u - point.u)
+        off_marks += 0.5 * (found.landmarks - point.landmarks)
     states = np.hstack([compose(point.states[:, :3], -off_poses), point.states[:, 3:] - off_rest])
     # No step: what is wanted is the linearisation there.
     still = replace(settings, max_iterations=0)
-    corrected, _, _ = minimise(problem, still, states, point.u - off_u, settings.robust)
+    marks = point.landmarks - off_marks
+    corrected, _, _ = minimise(
+        problem, still, states, point.u - off_u, settings.robust, landmarks=marks
+    )
     return corrected, tried
 
 

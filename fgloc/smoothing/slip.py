@@ -72,7 +72,7 @@ def look_for_slip(
     model, plain = settings.slip, solution.point
     if model is None or not settings.robust:
         return problem, solution
-    slipping = with_slips(problem, model)
+    slipping = replace(with_slips(problem, model), landmarks=plain.landmarks)
     if not _suspect(slipping, solution):
         return problem, solution
     # A slip that bent the calibration is better sought from where it was not bent yet.
@@ -111,7 +111,9 @@ def explain(
     # Without one stretch that counts, the gain is noise that was soaked up everywhere.
     if best is None or best.cost > before - gain or not where_slipping(slipping, best).any():
         return None, iterations
-    point, count, converged = minimise(slipping, settings, best.states, best.u, True, prior)
+    point, count, converged = minimise(
+        slipping, settings, best.states, best.u, True, prior, best.landmarks
+    )
     found = Explanation(slipping, point, converged)
     stretches = sum(len(runs(column)) for column in found.slipping.T)
     believed = stretches > 0 and point.cost < before - gain * stretches
@@ -223,6 +225,8 @@ def _first_look(
     rough = replace(settings, tolerance=ROUGH, max_iterations=FEW)
     point, iterations, _ = minimise(rigid, rough, states, u, True, held)
     for stage in (rigid, problem):
-        point, count, _ = minimise(stage, rough, point.states, point.u, True, prior)
+        point, count, _ = minimise(
+            stage, rough, point.states, point.u, True, prior, point.landmarks
+        )
         iterations += count
     return point, iterations

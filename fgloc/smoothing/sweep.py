@@ -8,9 +8,9 @@ import numpy as np
 
 from fgloc.core.geometry import between, compose
 from fgloc.core.measurements import Floats
-from fgloc.smoothing.arrow import solve
 from fgloc.smoothing.initial import dead_reckon
 from fgloc.smoothing.minimise import CalibrationPrior, Point, linear_system, minimise
+from fgloc.smoothing.network import step_of
 from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.settings import Settings
 
@@ -135,7 +135,7 @@ def sweep(problem: Problem, settings: Settings) -> tuple[Floats, Floats, int]:
             point, count, _ = minimise(window, settings, states[begin:end], u, False, prior)
         point, more, _ = minimise(window, settings, point.states, point.u, True, prior)
         iterations += count + more
-        solution = solve(linear_system(prior, point), 0.0, with_covariance=True)
+        solution = step_of(linear_system(prior, point), with_covariance=True)
         if solution is None or solution.covariance is None:
             break
         if np.abs(point.u * trusted).max(initial=0.0) > BEYOND:

@@ -15,6 +15,7 @@ from fgloc.factors.tables import (
     COMPONENTS,
     KERNELS,
     LANDMARK,
+    LINKING,
     PAIRWISE,
     FactorTable,
     Kind,
@@ -68,6 +69,8 @@ CASES: list[tuple[Kind, int, int, int]] = [
     (Kind.SLIP_WALK, 4, 0, 1),
     (Kind.WHEEL_REDUNDANCY, 3, 0, 8),
     (Kind.WHEEL_REDUNDANCY, 3, 2, 8),
+    (Kind.SCAN_MATCH, -1, 0, 6),
+    (Kind.SCAN_MATCH, 3, 3, 6),
 ]
 """(kind, slot, size of g, size of m)."""
 
@@ -188,7 +191,7 @@ def check_jacobians(kind: Kind, xi: Floats, xj: Floats, g: Floats, m: Floats, sl
     np.testing.assert_allclose(jg, by_g, atol=tolerance, rtol=1e-6)
     # Where the kernel belongs to one keyframe, this says that it does not look at the other.
     np.testing.assert_allclose(jj, by_second, atol=tolerance, rtol=1e-6)
-    assert kind in PAIRWISE | LANDMARK or not jj.any()
+    assert kind in PAIRWISE | LINKING or not jj.any()
 
 
 @pytest.mark.parametrize(("kind", "slot", "g_size", "m_size"), CASES)
@@ -228,13 +231,15 @@ def test_linearise_whitens_rows_and_finds_its_keyframes(
         rng.normal(size=(factors, d, d)) * 10.0 ** np.array([0, -150, -9, 9, 0, 3])[:, None, None],
         slice(2, 2 + g_size),
         slot=slot,
-        second=None if landmarks is None else seen,
+        second=seen if kind in LINKING else None,
     )
     rows = linearise(table, states, calibration, landmarks)
     plain = residuals(table, states, calibration, landmarks)
     for k, i in enumerate(first):
         g = calibration[2 : 2 + g_size].copy()
         second = states[i + 1] if table.pairwise else states[i]
+        if kind == Kind.SCAN_MATCH:
+            second = states[seen[k]]
         if landmarks is not None:
             second = landmarks[seen[k]]
         r, ji, jj, jg = evaluate(kind, states[i], second, g, table.measurements[k], slot)
@@ -249,9 +254,9 @@ def test_linearise_whitens_rows_and_finds_its_keyframes(
 def test_landmark_tables_say_which_and_others_none() -> None:
     first = np.zeros(2, dtype=np.int64)
     root, empty = np.tile(np.eye(2), (2, 1, 1)), slice(0, 0)
-    with pytest.raises(FglocError, match="lidar: a WALL table needs landmark indices"):
+    with pytest.raises(FglocError, match="lidar: a WALL table needs second indices"):
         FactorTable(Kind.WALL, "lidar", first, np.zeros((2, 8)), root, empty)
-    with pytest.raises(FglocError, match="a POSITION_FIX table has no use for landmark indices"):
+    with pytest.raises(FglocError, match="a POSITION_FIX table has no use for second indices"):
         FactorTable(Kind.POSITION_FIX, "gnss", first, np.zeros((2, 4)), root, empty, second=first)
     table = FactorTable(Kind.WALL, "lidar", first, np.zeros((2, 8)), root, empty, second=first)
     with pytest.raises(FglocError, match=r"lidar: .* none were given"):

@@ -14,7 +14,7 @@ from fgloc.errors import FglocError
 from fgloc.factors.tables import FactorTable, Kind, Linearised, linearise
 from fgloc.smoothing.arrow import ArrowSolution, ChainRows, eliminate, solve, stack
 from fgloc.smoothing.build import build_problem
-from fgloc.smoothing.elimination import _add_rows, solve_with_gtsam
+from fgloc.smoothing.elimination import add_chain, solve_with_gtsam
 from fgloc.smoothing.settings import Settings
 
 SIZES = [(1, 3, 2), (1, 1, 1), (2, 3, 0), (5, 3, 4), (7, 5, 3), (30, 4, 9), (3, 6, 25)]
@@ -96,7 +96,7 @@ def ill_conditioned() -> ChainRows:
 def test_where_cholesky_fails_qr_steps_in() -> None:
     system = ill_conditioned()
     graph = gtsam.GaussianFactorGraph()
-    _add_rows(graph, system)
+    add_chain(graph, system, 2)
     with pytest.raises(RuntimeError, match="Indeterminate"):
         graph.eliminateMultifrontal(gtsam.Ordering([0, 1]))
     solution = solve_with_gtsam(system)

@@ -1,0 +1,99 @@
+"""Displacements between consecutive scans, each matched to a small map of those before it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fgloc.core.geometry import between, compose, wrap
+from fgloc.core.measurements import Floats
+from fgloc.lidar.correlative import field, search
+from fgloc.lidar.matching import Match, MatchSettings, match, reference
+from fgloc.lidar.surfaces import Mask, ScanPoints, merge, thin
+
+
+@dataclass(frozen=True)
+class ChainSettings:
+    """How consecutive scans are matched."""
+
+    sigma: tuple[float, float, float] = (0.2, 0.2, 0.17)
+    """Standard deviations of a guessed displacement [m, m, rad] where none are given; three of
+    them are searched."""
+    scans: int = 12
+    """Most scans in the map that the next one is matched to."""
+    distance: float = 0.3
+    """A scan enters the map when the lidar has moved this far [m] …"""
+    turn: float = 0.2
+    """… or turned this far [rad] since the last one that did."""
+    cell: float = 0.05
+    """The map keeps one point in a square of this side [m]."""
+    least_overlap: float = 0.25
+    """A match with a smaller share of paired points is not believed: the guess stands in."""
+    matching: MatchSettings = MatchSettings()
+    """How points are matched at the end."""
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Displacements of the lidar from scan to scan."""
+
+    relative: Floats
+    """(N-1, 3) pose of each scan in the axes of the one before [m, m, rad]; the guess where the
+    match failed."""
+    covariance: Floats
+    """(N-1, 3, 3) of x, y [m] and heading [rad] in those axes."""
+    matched: Mask
+    """(N-1,) whether the match held."""
+
+
+def match_chain(
+    scans: list[ScanPoints],
+    guess: Floats,
+    sigma: Floats | None = None,
+    settings: ChainSettings = ChainSettings(),
+) -> Chain:
+    """Return the displacement between consecutive scans, `guess` (N, 3) being a drifting path.
+
+    Only the guess's displacements are used; `sigma` (N-1, 3) are their standard deviations [m, m,
+    rad], where known. About 5 ms a scan.
+    """
+    count = len(scans)
+    steps = between(guess[:-1], guess[1:])
+    steps[:, 2] = wrap(steps[:, 2])
+    spread = np.tile(np.asarray(settings.sigma), (max(count - 1, 0), 1)) if sigma is None else sigma
+    poses = np.zeros((count, 3))
+    relative, matched = steps.copy(), np.zeros(max(count - 1, 0), bool)
+    covariance = np.zeros((max(count - 1, 0), 3, 3))
+    kept = [0] if count else []
+    for k in range(1, count):
+        start = compose(poses[k - 1], steps[k - 1])
+        local = merge([scans[i] for i in kept], between(poses[k - 1], poses[kept]), settings.cell)
+        found = _to_map(local, scans[k], steps[k - 1], spread[k - 1], settings)
+        if found is None:
+            covariance[k - 1] = np.diag(spread[k - 1] ** 2)
+        else:
+            relative[k - 1], covariance[k - 1] = found.relative, found.covariance
+            matched[k - 1] = True
+            start = compose(poses[k - 1], found.relative)
+        poses[k] = start
+        moved = between(poses[kept[-1]], poses[k])
+        if np.hypot(moved[0], moved[1]) > settings.distance or abs(moved[2]) > settings.turn:
+            kept = [*kept, k][-settings.scans :]
+    return Chain(relative, covariance, matched)
+
+
+def _to_map(
+    local: ScanPoints, scan: ScanPoints, guess: Floats, sigma: Floats, settings: ChainSettings
+) -> Match | None:
+    """Return where a scan is in the map around it; None where it cannot be told."""
+    coarse = thin(scan, 0.15)
+    likelihood = field(local)
+    half = np.maximum(3.0 * sigma, (0.1, 0.1, 0.02))
+    pose, score = search(likelihood, coarse, guess, half, sigma=sigma)
+    if score < 0.0:
+        return None
+    found = match(reference(local), scan, pose, settings.matching)
+    if not found.converged or found.overlap < settings.least_overlap:
+        return None
+    return found
