@@ -14,7 +14,7 @@ from fgloc.errors import FglocError
 from fgloc.factors.kernels.camera import camera_odometry
 from fgloc.factors.kernels.fix import pose_fix, position_fix
 from fgloc.factors.kernels.heading import yaw, yaw_rate, zero_prior, zero_walk
-from fgloc.factors.kernels.lidar import range_bearing, wall
+from fgloc.factors.kernels.lidar import landmark_prior, range_bearing, wall
 from fgloc.factors.kernels.match import scan_match
 from fgloc.factors.kernels.motion import calibration_walk, zero_velocity
 from fgloc.factors.kernels.prior import state_prior
@@ -51,6 +51,7 @@ class Kind(IntEnum):
     SLIP_SIDE = 16
     WHEEL_REDUNDANCY = 17
     SCAN_MATCH = 18
+    LANDMARK_PRIOR = 19
 
 
 KERNELS: dict[Kind, Callable[..., None]] = {
@@ -73,6 +74,7 @@ KERNELS: dict[Kind, Callable[..., None]] = {
     Kind.SLIP_SIDE: slip_side,
     Kind.WHEEL_REDUNDANCY: wheel_redundancy,
     Kind.SCAN_MATCH: scan_match,
+    Kind.LANDMARK_PRIOR: landmark_prior,
 }
 """The kernels by kind, for tests and for single factors; the compiled loop dispatches itself."""
 
@@ -96,6 +98,7 @@ COMPONENTS: dict[Kind, tuple[str, ...]] = {
     Kind.SLIP_SIDE: ("slip on the unlikely side [1]",),
     Kind.WHEEL_REDUNDANCY: (),
     Kind.SCAN_MATCH: ("forward [m]", "left [m]", "heading [rad]"),
+    Kind.LANDMARK_PRIOR: ("x [m]", "y [m]"),
 }
 """Leading residual components with units; all of them but for STATE_PRIOR, CALIBRATION_WALK and
 WHEEL_REDUNDANCY, whose number depends on the state or the wheels."""
@@ -120,6 +123,7 @@ ROW: dict[Kind, int] = {
     Kind.SLIP_SIDE: 1,
     Kind.WHEEL_REDUNDANCY: 1,
     Kind.SCAN_MATCH: 6,
+    Kind.LANDMARK_PRIOR: 2,
 }
 """Fewest numbers in a measurement row; wheels add 3 a calibration variable, priors have 2 (B+G)."""
 
@@ -138,7 +142,7 @@ PAIRWISE = frozenset(
 )
 """Kinds that join state `first` (a keyframe, or a calibration segment) and the one after it."""
 
-LANDMARK = frozenset({Kind.WALL, Kind.RANGE_BEARING})
+LANDMARK = frozenset({Kind.WALL, Kind.RANGE_BEARING, Kind.LANDMARK_PRIOR})
 """Kinds that join keyframe `first` and landmark `second`."""
 
 LINKING = LANDMARK | {Kind.SCAN_MATCH}
@@ -327,8 +331,10 @@ def evaluate_kernel(
         slip_side(xi, xj, g, m, slot, r, ji, jj, jg)
     elif kind == 17:
         wheel_redundancy(xi, xj, g, m, slot, r, ji, jj, jg)
-    else:
+    elif kind == 18:
         scan_match(xi, xj, g, m, slot, r, ji, jj, jg)
+    else:
+        landmark_prior(xi, xj, g, m, slot, r, ji, jj, jg)
 
 
 @compiled

@@ -66,6 +66,23 @@ def wall(
 
 
 @compiled
+def landmark_prior(
+    xi: Floats,
+    xj: Floats,
+    g: Floats,
+    m: Floats,
+    slot: int,
+    r: Floats,
+    ji: Floats,
+    jj: Floats,
+    jg: Floats,
+) -> None:
+    """Residual (landmark minus what is known of it); m = [both numbers of the landmark]."""
+    r[0], r[1] = xj[0] - m[0], xj[1] - m[1]
+    jj[0, 0] = jj[1, 1] = 1.0
+
+
+@compiled
 def range_bearing(
     xi: Floats,
     xj: Floats,

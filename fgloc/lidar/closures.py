@@ -182,9 +182,7 @@ class _Search:
         guess[2] = wrap(guess[2])
         sigma = half / 2.0
         least = settings.least_score
-        pose, score = search(
-            first.likelihood, second.coarse, guess, half, sigma=sigma, least=least
-        )
+        pose, score = search(first.likelihood, second.coarse, guess, half, sigma=sigma, least=least)
         if score < 0.0:
             self.rejected["weak"] += 1
             return

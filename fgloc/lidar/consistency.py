@@ -67,9 +67,7 @@ def accumulate(steps: Floats, covariance: Floats, poses: Floats) -> Floats:
 
 
 @compiled
-def _stretch(
-    poses: Floats, path: Floats, i: int, j: int, total: Floats, spread: Floats
-) -> None:
+def _stretch(poses: Floats, path: Floats, i: int, j: int, total: Floats, spread: Floats) -> None:
     """Append the path from scan i to scan j, either way in time, to a loop."""
     c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
     dx, dy = poses[j, 0] - poses[i, 0], poses[j, 1] - poses[i, 1]
@@ -153,5 +151,3 @@ def supported(distance: Floats, first: Floats, second: Floats, reach: float) -> 
     has[one[near]] = True
     has[other[near]] = True
     return np.asarray(has)
-
-

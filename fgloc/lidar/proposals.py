@@ -81,9 +81,7 @@ def propose(
     if nodes.size < 2:
         return
     model = settings.uncertainty
-    way = np.concatenate(
-        [[0.0], np.cumsum(way_lengths(np.diff(travelled), covariance, model))]
-    )
+    way = np.concatenate([[0.0], np.cumsum(way_lengths(np.diff(travelled), covariance, model))])
     # Rotation drifts along, so that position grows with the way to the power of 3/2: the way at
     # which three sigmas fill the widest window is as far as it is looked for.
     ways = np.linspace(0.0, 2000.0, 2001)

@@ -134,9 +134,7 @@ def _all_surfaces(
 ) -> None:
     """Do every scan."""
     for k in range(points.shape[0]):
-        _surfaces(
-            points[k], valid[k], step, noise, normals[k], tilt[k], variance[k]
-        )
+        _surfaces(points[k], valid[k], step, noise, normals[k], tilt[k], variance[k])
 
 
 def surfaces(points: Floats, valid: Mask, scans: Scans) -> list[ScanPoints]:

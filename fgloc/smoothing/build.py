@@ -9,6 +9,7 @@ from fgloc.core.geometry import between
 from fgloc.core.measurements import (
     CameraPoses,
     Floats,
+    LandmarkSightings,
     PoseFixes,
     PositionFixes,
     Stamps,
@@ -57,6 +58,7 @@ class _Builder(Columns):
         self.tables: list[FactorTable] = []
         self.counts: dict[str, tuple[int, int]] = {}
         self.zeros: list[tuple[int, float]] = []
+        self.marks: dict[int, int] = {}
 
     def zero(self, sensor: str, first: float, sigma: float, walk: Floats) -> int:
         """Return a new state column for a drifting zero; `walk` (K-1,) are its step sigmas."""
@@ -87,6 +89,12 @@ class _Builder(Columns):
             )
         )
         return column
+
+    def mark_numbers(self, identities: Stamps) -> Stamps:
+        """Return the (N,) places of landmarks in the problem, given what the sensors call them."""
+        for name in np.unique(identities).tolist():
+            self.marks.setdefault(name, len(self.marks))
+        return np.array([self.marks[name] for name in identities.tolist()], dtype=np.int64)
 
     def seconds(self) -> Floats:
         """Return (K-1,) durations between keyframes [s]."""
@@ -202,6 +210,47 @@ def _add_fixes(b: _Builder, sensor: PositionFixes | PoseFixes, loss: Loss) -> No
     )
 
 
+def _add_sightings(b: _Builder, sensor: LandmarkSightings, loss: Loss) -> None:
+    """Add one factor a sighting, a landmark for each identity, and what a survey says of it."""
+    at = np.minimum(np.searchsorted(b.keyframes_ns, sensor.stamps_ns), b.keyframes_ns.size - 1)
+    valid = (b.keyframes_ns[at] == sensor.stamps_ns) & (sensor.landmark >= 0)
+    b.counts[sensor.sensor] = (int(valid.sum()), int((~valid).sum()))
+    if not valid.any():
+        return
+    index = b.mark_numbers(sensor.landmark[valid])
+    n = index.size
+    mount = np.broadcast_to(np.array(sensor.mount), (n, 3))
+    seen = np.stack([sensor.range_m[valid], sensor.bearing[valid]], axis=1)
+    b.tables.append(
+        FactorTable(
+            Kind.RANGE_BEARING,
+            sensor.sensor,
+            at[valid].astype(np.int64),
+            np.concatenate([seen, mount], axis=1),
+            diagonal(np.tile([sensor.range_sigma, sensor.bearing_sigma], (n, 1))),
+            b.mount(sensor.sensor, sensor.mount, sensor.mount_sigma),
+            loss,
+            second=index,
+        )
+    )
+    survey = sensor.survey
+    if survey is None:
+        return
+    known = np.isin(survey.landmark, sensor.landmark[valid])
+    if known.any():
+        b.tables.append(
+            FactorTable(
+                Kind.LANDMARK_PRIOR,
+                sensor.sensor,
+                np.zeros(int(known.sum()), np.int64),
+                survey.positions[known],
+                diagonal(survey.sigma[known]),
+                slice(0, 0),
+                second=b.mark_numbers(survey.landmark[known]),
+            )
+        )
+
+
 def _add_start(b: _Builder, drive: Drive, start: Floats, sigma: Floats) -> None:
     """Tie the first keyframe to where the drive starts, through the reference's mounting."""
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -245,6 +294,8 @@ def build_problem(drive: Drive, settings: Settings) -> Problem:
         _add_camera(builder, camera, wheels.displacement, loss)
     for fixes in absolute_fixes(drive):
         _add_fixes(builder, fixes, settings.fix_loss if robust else PLAIN)
+    for sightings in drive.each(LandmarkSightings):
+        _add_sightings(builder, sightings, settings.landmark_loss if robust else PLAIN)
     states = np.zeros((keyframes.size, builder.width))
     states[:, :3] = guess.poses
     for column, first in builder.zeros:
@@ -261,5 +312,7 @@ def build_problem(drive: Drive, settings: Settings) -> Problem:
         wheel_loss=settings.wheel_loss if robust else PLAIN,
         turn=guess.turn,
         turn_spread=guess.turn_spread,
+        landmarks=np.zeros((len(builder.marks), 2)),
+        marks=np.array(list(builder.marks), dtype=np.int64),
         notes=(*guess.notes, *remarks(drive, builder.counts)),
     )

@@ -10,6 +10,7 @@ from fgloc.core.geometry import interpolate, wrap
 from fgloc.core.measurements import (
     CameraPoses,
     Floats,
+    LandmarkSightings,
     PoseFixes,
     PositionFixes,
     Stamps,
@@ -31,8 +32,8 @@ def absolute_fixes(drive: Drive) -> tuple[PositionFixes | PoseFixes, ...]:
 def choose_keyframes(drive: Drive, period_s: float) -> Stamps:
     """Return (K,) keyframe stamps: wheel stamps about `period_s` apart and every fix stamp.
 
-    A fix gets a keyframe of its own, so that nothing has to be interpolated to it; so does a yaw
-    reading of a sensor too slow to interpolate. O(N).
+    A fix and a sighting get a keyframe of their own, so that nothing has to be interpolated to
+    them; so does a yaw reading of a sensor too slow to interpolate. O(N).
     """
     stamps = drive.wheels.stamps_ns
     # 5 % slack keeps a jittering sensor of the same rate from alternating between one and two.
@@ -45,8 +46,9 @@ def choose_keyframes(drive: Drive, period_s: float) -> Stamps:
         extra = [stamps[(stamps > keep[k]) & (stamps < keep[k + 1])] for k in long]
         keep = np.concatenate([keep, *extra])
     fixes = [f.stamps_ns for f in absolute_fixes(drive)]
+    seen = [np.unique(m.stamps_ns) for m in drive.each(LandmarkSightings)]
     slow = [y.stamps_ns for y in drive.each(Yaw) if is_slow(y.stamps_ns)]
-    inside = [f[(f >= stamps[0]) & (f <= stamps[-1])] for f in (*fixes, *slow)]
+    inside = [f[(f >= stamps[0]) & (f <= stamps[-1])] for f in (*fixes, *slow, *seen)]
     return np.unique(np.concatenate([keep, stamps[[0, -1]], *inside]))
 
 

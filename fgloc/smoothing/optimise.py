@@ -9,6 +9,7 @@ import numpy as np
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
 from fgloc.smoothing.arrow import ArrowSolution
+from fgloc.smoothing.forward import forward
 from fgloc.smoothing.graduate import doubtful, second_look
 from fgloc.smoothing.minimise import CalibrationPrior, Point, linear_system, minimise
 from fgloc.smoothing.network import step_of
@@ -52,14 +53,17 @@ def optimise(problem: Problem, settings: Settings) -> Solution:
     """
     nominal = np.zeros(len(problem.parameters))
     states, u = problem.states, nominal
-    iterations = 0
+    marks, iterations = problem.landmarks, 0
     swept = (
-        problem.fix_keyframes().size > 1
+        not marks.size
+        and problem.fix_keyframes().size > 1
         and reach(problem, u, problem.prior_covariance, 0.0) < states.shape[0]
     )
     if swept:
         states, u, iterations = sweep(problem, settings)
-    point, last, converged = minimise(problem, settings, states, u, False)
+    if marks.size:
+        states, u, marks, iterations = forward(problem, settings)
+    point, last, converged = minimise(problem, settings, states, u, False, landmarks=marks)
     iterations += last
     if settings.robust:
         plain = [point]

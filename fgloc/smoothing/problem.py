@@ -27,6 +27,7 @@ HIDDEN = (
     Kind.SLIP_PRIOR,
     Kind.SLIP_SIDE,
     Kind.SLIP_WALK,
+    Kind.LANDMARK_PRIOR,
 )
 """Tables that are a sensor's model or a prior, not measurements."""
 SPINNING = 0.95
@@ -82,7 +83,9 @@ class Problem:
     slip_slot: int = -1
     """First of the state columns of the driven wheels' slips; -1 where none are modelled."""
     landmarks: Floats = field(default_factory=lambda: np.zeros((0, 2)))
-    """(L, 2) first guess of the landmarks, as their kernels mean them."""
+    """(L, 2) first guess of the landmarks, as their kernels mean them: points first, then walls."""
+    marks: Stamps = field(default_factory=lambda: np.zeros(0, np.int64))
+    """(M,) identities of the point landmarks, in the order of `landmarks`."""
 
     def values(self, u: Floats) -> Floats:
         """Return the robot's physical parameter values at solver variables u (G,)."""

@@ -34,7 +34,7 @@ class Settings:
     fix_loss: Loss = STRAYS
     """Loss of position and pose fixes: reflections and wrong matches."""
     landmark_loss: Loss = STRAYS
-    """Loss of sightings of landmarks: marks taken for others, people in front of walls."""
+    """Loss of what is seen of landmarks: wrong matches, people in the way."""
     robust: bool = True
     """Apply the losses; False trusts every measurement alike."""
     graduated: bool = True

@@ -71,6 +71,8 @@ CASES: list[tuple[Kind, int, int, int]] = [
     (Kind.WHEEL_REDUNDANCY, 3, 2, 8),
     (Kind.SCAN_MATCH, -1, 0, 6),
     (Kind.SCAN_MATCH, 3, 3, 6),
+    (Kind.LANDMARK_PRIOR, -1, 0, 2),
+    (Kind.LANDMARK_PRIOR, 3, 0, 2),
 ]
 """(kind, slot, size of g, size of m)."""
 
@@ -87,6 +89,8 @@ def second_of(kind: Kind, xi: Floats, xj: Floats) -> list[Floats]:
     """
     if kind == Kind.WALL:
         return [np.array([xj[2], offset]) for offset in (0.0, 1e-5, -3.0, 1e4)]
+    if kind == Kind.LANDMARK_PRIOR:
+        return [xj[:2]]
     if kind == Kind.RANGE_BEARING:
         sensor = compose(xi[:3], MOUNT)[:2]
         if np.abs(xi[:2]).max() > 1e3:  # where a double has no digits for such distances
