@@ -20,7 +20,7 @@ from fgloc.errors import FglocError
 from fgloc.factors.robust import PLAIN
 from fgloc.factors.tables import Kind
 from fgloc.online.clock import Clock
-from fgloc.online.fixes import Fix
+from fgloc.online.fixes import Fix, FixTable
 from fgloc.online.incremental import IncrementalSmoother
 from fgloc.online.layout import Layout, make_layout
 from fgloc.online.opening import loss_of, open_stream, open_table, open_zero
@@ -100,6 +100,7 @@ class OnlineEngine:
         self.walks: dict[str, float] = {}
         self._aside: list[tuple[str, int, Floats, Floats | None]] = []
         self._sizes = {s.sensor: size_of(s) for s in sensors}
+        self._scans = tuple(s.sensor for s in sensors if isinstance(s, Scans))
         self.held = np.zeros(len(robot.base.driven))
         self.now_ns = 0
         self.dirty: int | None = None
@@ -194,8 +195,8 @@ class OnlineEngine:
             return
         tally = self.tally[sensor]
         stamp_ns = self.clock.time(stamp_ns)
-        fault = reading_fault(values, self._sizes[sensor])
-        if not fault and sensor in self.spots.fixes:
+        fault = reading_fault(values, self._sizes[sensor], sensor in self._scans)
+        if not fault and isinstance(self.spots.tables.get(sensor), FixTable):
             fault = sigma_fault(sigma, self._sizes[sensor])
         if sensor in self.left_out:
             tally.reject("contradicts the others")
@@ -210,8 +211,10 @@ class OnlineEngine:
             if not self.streams[sensor].push(stamp_ns, value):
                 tally.reject("a second one with the same stamp")
         elif sensor in self.spots.tables:
+            table = self.spots.tables[sensor]
+            stamp_ns += table.delay_ns
             fix = Fix(stamp_ns, sensor, values, empty_sigma() if sigma is None else sigma)
-            if not self.spots.tables[sensor].first(fix):
+            if not table.first(fix):
                 tally.reject("a second one with the same stamp")
                 return
             try:

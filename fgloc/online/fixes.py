@@ -52,6 +52,7 @@ class FixTable:
         window, self._touch = host.window, host.touch
         d = len(sensor.mount)
         kind = Kind.POSE_FIX if d == 3 else Kind.POSITION_FIX
+        self.delay_ns = 0
         self.dimension = d
         self.rounding = window.rounding
         self.mount = np.zeros(3)
@@ -72,6 +73,10 @@ class FixTable:
     def due(self, state: Floats) -> bool:
         """Return True: every fix tells something."""
         return True
+
+    def pending(self) -> list[str]:
+        """Return nothing: a reading becomes a factor at once, or never."""
+        return []
 
     def prune(self, before_ns: int) -> None:
         """Forget stamps that the window has left behind."""

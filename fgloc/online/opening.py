@@ -9,6 +9,7 @@ from fgloc.core.measurements import (
     LandmarkSightings,
     PoseFixes,
     PositionFixes,
+    Scans,
     Sensor,
     Yaw,
     YawRate,
@@ -17,6 +18,7 @@ from fgloc.factors.robust import PLAIN, Loss
 from fgloc.factors.tables import Kind
 from fgloc.online.fixes import FixTable
 from fgloc.online.layout import Place
+from fgloc.online.scans import ScanTable
 from fgloc.online.settings import OnlineSettings
 from fgloc.online.sightings import MarkTable
 from fgloc.online.spots import MapHost, SpotTable
@@ -80,4 +82,6 @@ def open_table(
         return None
     if isinstance(sensor, LandmarkSightings):
         return MarkTable(sensor, place, loss_of(settings, settings.landmark_loss), host)
+    if isinstance(sensor, Scans):
+        return ScanTable(sensor, place, loss_of(settings, settings.landmark_loss), host)
     return None

@@ -22,6 +22,7 @@ class MarkTable:
 
     def __init__(self, sensor: LandmarkSightings, place: Place, loss: Loss, host: MapHost) -> None:
         self._host = host
+        self.delay_ns = 0
         self.sensor = sensor.sensor
         self.mount = np.array(sensor.mount)
         window = host.window
@@ -50,6 +51,10 @@ class MarkTable:
     def due(self, state: Floats) -> bool:
         """Return True: every sighting tells something."""
         return True
+
+    def pending(self) -> list[str]:
+        """Return nothing: a reading becomes a factor at once, or never."""
+        return []
 
     def prune(self, before_ns: int) -> None:
         """Forget what the window has left behind."""

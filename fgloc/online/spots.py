@@ -75,6 +75,9 @@ class MapHost(Host, Protocol):
 class SpotTable(Protocol):
     """One stream of readings that have a keyframe at their stamps."""
 
+    delay_ns: int
+    """How long after its stamp a reading is complete, which is where its keyframe is."""
+
     def first(self, fix: Fix) -> bool:
         """Note that a reading came; False if the same came before."""
         ...
@@ -89,6 +92,10 @@ class SpotTable(Protocol):
 
     def prune(self, before_ns: int) -> None:
         """Forget what the window has left behind."""
+        ...
+
+    def pending(self) -> list[str]:
+        """Return a reason for each part of a reading that has not become a factor yet."""
         ...
 
 
@@ -187,6 +194,9 @@ class Spots:
             yield fix.sensor, "after the last wheel packet"
         for _, fix, _ in [] if self.aligner is None else self.aligner.fixes:
             yield fix.sensor, UNPLACED
+        for name, table in self.tables.items():
+            for reason in table.pending():
+                yield name, reason
 
 
 def empty_sigma() -> Floats:

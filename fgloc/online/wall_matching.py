@@ -1,10 +1,10 @@
 """Which known wall each segment of a scan shows: gates that grow tighter as walls are recognised.
 
 Segments are taken one after the other, those that leave no doubt first. A wall is a candidate if
-it faces the sensor, reaches as far as the segment, and the innovation is inside its gate: S = H P
-Hᵀ + R, with P the joint covariance of the pose and all walls. Each match then updates pose and walls
-as a Kalman filter would, so that the next one is judged given those before; their normalised
-innovations add up to that of the joint innovation, which has to be compatible as well (the
+it faces the sensor, reaches as far as the segment, and the innovation is inside its gate:
+S = H P Hᵀ + R, with P the joint covariance of the pose and all walls. Each match then updates pose
+and walls as a Kalman filter would, so that the next one is judged given those before; their
+normalised innovations add up to that of the joint innovation, which has to be compatible as well (the
 sequential form of Neira and Tardós' joint compatibility). Where the first choice is not clear,
 every choice is tried, and the one that explains most segments wins, if no other does as well.
 """
@@ -103,6 +103,92 @@ def match(
     return _choose(residual, by_pose, by_wall, open_, noise, joint, gates)
 
 
+def possible(
+    rows: Floats,
+    reach: Floats,
+    noise: Floats,
+    pose: Floats,
+    calibration: Floats,
+    joint: Floats,
+    walls: Candidates,
+    covariances: Floats,
+    gates: Gates,
+) -> npt.NDArray[np.bool_]:
+    """Return (W,) which walls some segment may show, each for itself.
+
+    As if walls, with `covariances` (W, 2, 2), and pose and calibration, with `joint` (3+g, 3+g),
+    had nothing in common: for walls that do, the gates are wider than they need be. Other
+    arguments as `match` takes them. O(M·W), compiled.
+    """
+    w = walls.lines.shape[0]
+    found = np.zeros(w, dtype=np.bool_)
+    sigma = np.sqrt(np.diag(joint)[:2])
+    _possible(
+        rows,
+        reach,
+        noise,
+        np.ascontiguousarray(pose),
+        np.ascontiguousarray(calibration),
+        np.ascontiguousarray(joint),
+        walls.lines,
+        walls.anchors,
+        walls.reach,
+        np.ascontiguousarray(covariances),
+        gates.slack_m + 3.0 * float(np.hypot(sigma[0], sigma[1])),
+        gates.single,
+        found,
+    )
+    return found
+
+
+@compiled
+def _possible(
+    rows: Floats,
+    reach: Floats,
+    noise: Floats,
+    pose: Floats,
+    calibration: Floats,
+    joint: Floats,
+    lines: Floats,
+    anchors: Floats,
+    extent: Floats,
+    covariances: Floats,
+    slack: float,
+    single: float,
+    found: npt.NDArray[np.bool_],
+) -> None:
+    """Mark the walls that are inside some segment's gate."""
+    g = joint.shape[0]
+    one = np.zeros((g + 2, g + 2))
+    one[:g, :g] = joint
+    s, v = np.empty((2, 2)), np.empty((2, g + 2))
+    residual, by_pose = np.zeros((1, 1, 2)), np.zeros((1, 1, 2, g))
+    by_wall, open_ = np.zeros((1, 1, 2, 2)), np.zeros((1, 1), np.bool_)
+    for k in range(lines.shape[0]):
+        one[g:, g:] = covariances[k]
+        for i in range(rows.shape[0]):
+            if found[k]:
+                break
+            open_[0, 0] = False
+            _pairs(
+                rows[i : i + 1],
+                reach[i : i + 1],
+                pose,
+                calibration,
+                lines[k : k + 1],
+                anchors[k : k + 1],
+                extent[k : k + 1],
+                slack,
+                residual,
+                by_pose,
+                by_wall,
+                open_,
+            )
+            if open_[0, 0]:
+                d = _square(residual[0, 0], by_pose[0, 0], by_wall[0, 0], noise[i], one, g, s, v)
+                found[k] = d < single
+
+
 def _choose(
     residual: Floats,
     by_pose: Floats,
@@ -128,15 +214,27 @@ def _choose(
     for first, k in starts:
         chosen, total = np.full(m, NONE, np.int64), np.full(m, np.inf)
         score = _follow(
-            residual, by_pose, by_wall, open_, noise, joint, gates.single, gates.near, gates.joint,
-            MARGIN, first, k, chosen, total,
+            residual,
+            by_pose,
+            by_wall,
+            open_,
+            noise,
+            joint,
+            gates.single,
+            gates.near,
+            gates.joint,
+            MARGIN,
+            first,
+            k,
+            chosen,
+            total,
         )
         results.append((-int((chosen >= 0).sum()), score, chosen, total))
     results.sort(key=lambda r: (r[0], r[1]))
-    if len(results) > 1 and results[1][0] == results[0][0]:
-        if results[1][1] - results[0][1] < MARGIN:
-            best = results[0][2]
-            return np.where(best >= 0, DOUBTFUL, best), results[0][3]
+    as_many = len(results) > 1 and results[1][0] == results[0][0]
+    if as_many and results[1][1] - results[0][1] < MARGIN:
+        best = results[0][2]
+        return np.where(best >= 0, DOUBTFUL, best), results[0][3]
     return results[0][2], results[0][3]
 
 
@@ -170,7 +268,7 @@ def _pairs(
             by_wall[i, k] = jj
             if abs(r[0]) > FACING:
                 continue
-            # Where its middle is along the wall: the derivative of the offset by the wall's direction.
+            # Where its middle is along the wall: the offset's derivative by the direction.
             along = jj[1, 0]
             low, high = along + reach[i, 0], along + reach[i, 1]
             open_[i, k] = low < extent[k, 1] + slack and high > extent[k, 0] - slack
@@ -300,8 +398,14 @@ def _follow(
             for q in range(g):
                 best_r[a] += by_pose[pick, pick_wall, a, q] * moved[q]
         _square(
-            best_r, by_pose[pick, pick_wall], by_wall[pick, pick_wall], noise[pick], p, at,
-            best_s, best_v,
+            best_r,
+            by_pose[pick, pick_wall],
+            by_wall[pick, pick_wall],
+            noise[pick],
+            p,
+            at,
+            best_s,
+            best_v,
         )
         _kalman(best_r, best_s, best_v, p, moved)
 
