@@ -89,9 +89,10 @@ def looks_like(line: str) -> bool:
 def read_log(path: Path, rejected: Counter[str], *, timed: bool = True) -> Log:
     """Return the odometry and the scans of a log, usable lines only; the others are counted.
 
-    With `timed` False stamps are neither looked at nor sound. Raises FglocError naming file and
-    line for what cannot be understood, a log without scans, and stamps that have too few digits to
-    tell when anything happened. O(characters).
+    Stamps of the odometry increase; those of scans are as they are written, and may repeat. With
+    `timed` False stamps are neither looked at nor sound. Raises FglocError naming file and line for
+    what cannot be understood, a log without scans, and stamps that have too few digits to tell when
+    anything happened. O(characters).
     """
     body, numbers = numbered(read_lines(path), rejected)
     at: dict[str, list[int]] = {}
@@ -151,8 +152,6 @@ def read_log(path: Path, rejected: Counter[str], *, timed: bool = True) -> Log:
     readings = readings.select(usable)
     if timed:
         odometry = odometry.select(forward_stamps(odometry.stamps, rejected, "odometry "))
-        later = forward_stamps(readings.at.stamps, rejected, "scan ")
-        readings = readings.select(later)
     return Log(odometry, readings, gfs)
 
 

@@ -94,7 +94,10 @@ def write_csv(drive: Drive, path: Path) -> None:
     out = io.StringIO()
     out.write(f"{MAGIC}\n# {json.dumps(header, ensure_ascii=False)}\n# stream,stamp_ns,values\n")
     for stream, members in _streams(arrays).items():
-        columns = [value.reshape(value.shape[0], -1).tolist() for value in members.values()]
+        columns = [
+            value.reshape(value.shape[0], int(np.prod(value.shape[1:]))).tolist()
+            for value in members.values()
+        ]
         stamps = arrays.get(f"{stream}.stamps_ns", np.arange(len(columns[0]) if columns else 0))
         opening = stamps.size - len(columns[0])
         rows: list[list[Any]] = [[] for _ in range(opening)]

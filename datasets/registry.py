@@ -11,6 +11,7 @@ import re
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fgloc.core.drive import Drive
 from fgloc.datasets import carmen, carmen_lines, jaguar, jaguar_lines, own_csv, own_format
@@ -24,6 +25,9 @@ from fgloc.io.bags import MAGIC as BAG_MAGIC
 from fgloc.io.bags import SUFFIXES as BAG_SUFFIXES
 from fgloc.io.bags import is_bag
 from fgloc.io.topics import TopicMap, load_topics
+
+if TYPE_CHECKING:
+    from fgloc.datasets.simulator.worlds import World
 
 SIMULATED = "sim"
 """Prefix of drives that are made, not read: `sim:NAME?seed=1&key=value`."""
@@ -159,6 +163,19 @@ def load_with_topics(
         raise _no_bag(drive_id)
     check_plausible(drive)
     return drive, used
+
+
+def world_of(drive_id: str) -> World | None:
+    """Return the walls that a simulated drive's lidar saw, in the axes of its truth.
+
+    None for a drive without a world. Raises FglocError for a simulated drive that does not exist.
+    """
+    name, _, run = drive_id.partition(":")
+    if not is_dataset_id(drive_id) or name != SIMULATED:
+        return None
+    from fgloc.datasets.simulator.drives import load_sim_world
+
+    return load_sim_world(run)
 
 
 def _semi_real(drive_id: str) -> tuple[str, str] | None:

@@ -26,9 +26,10 @@ class Course:
     """(M+1, 3) poses at the step boundaries in the map frame; the heading is not wrapped."""
 
     @classmethod
-    def follow(cls, displacements: Floats, step_ns: int) -> Course:
-        """Return the course that starts at the origin and takes these (M, 3) steps. O(M)."""
-        poses = geometry.integrate(displacements, np.zeros(3), geometry.EXACT)
+    def follow(cls, displacements: Floats, step_ns: int, start: Floats | None = None) -> Course:
+        """Return the course that takes these (M, 3) steps from a pose (3,), the origin. O(M)."""
+        first = np.zeros(3) if start is None else start
+        poses = geometry.integrate(displacements, first, geometry.EXACT)
         return cls(step_ns, displacements, poses)
 
     @property

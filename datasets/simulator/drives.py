@@ -15,13 +15,24 @@ from fgloc.datasets.simulator import seed_a, seed_a_vehicle
 from fgloc.datasets.simulator.course import Course, roll
 from fgloc.datasets.simulator.disturbance import disturb
 from fgloc.datasets.simulator.faults import Slip, apply_slip, describe, parse_slips
-from fgloc.datasets.simulator.models import FixModel
+from fgloc.datasets.simulator.models import FixModel, LidarModel, YawModel
 from fgloc.datasets.simulator.motions import MOTIONS, Limits
 from fgloc.datasets.simulator.robots import RobotModel, build
+from fgloc.datasets.simulator.rplidar import device, measure_scans
 from fgloc.datasets.simulator.sensors import CUT, cut_normal, measure_all, measure_wheels
 from fgloc.datasets.simulator.spec import SimSpec, parse
 from fgloc.datasets.simulator.streams import generator
+from fgloc.datasets.simulator.tour import keep_to_course, plan
+from fgloc.datasets.simulator.worlds import World, load_world
 from fgloc.errors import FglocError
+
+
+def _in_world(name: str, robot: str, lidar: str) -> SimSpec:
+    """Return the settings of a drive in the world of the same name: wheels and a lidar."""
+    return SimSpec(
+        name, robot=robot, yaw=YawModel(on=False), lidar=LidarModel(kind=lidar), world=name
+    )
+
 
 NAMED: dict[str, SimSpec] = {
     **{n: SimSpec(n) for n in ("figure-eight", "square", "random", "corridor")},
@@ -32,6 +43,12 @@ NAMED: dict[str, SimSpec] = {
         slip="on",
         fix=FixModel(every=10.0, sigma=0.05),
     ),
+    "seed-b-room": _in_world("seed-b-room", "youbot", "a2"),
+    "seed-c-1": _in_world("seed-c-1", "differential", "a1"),
+    "seed-c-2": _in_world("seed-c-2", "differential", "a1"),
+    # One lap and a quarter: the first corridor is seen again after the tour.
+    "office": replace(_in_world("office", "differential", "a2"), duration=240.0),
+    "hall": _in_world("hall", "differential", "a2"),
     **seed_a.SPECS,
     **seed_a_vehicle.SPECS,
 }
@@ -56,6 +73,15 @@ def load_sim(spec: str) -> Drive:
     if settings.name in seed_a_vehicle.SPECS:
         return seed_a_vehicle.build_drive(settings, name)
     return simulate(settings, name)
+
+
+def load_sim_world(spec: str) -> World | None:
+    """Return the world of the simulated drive `NAME?key=value&…`; None if it has none.
+
+    Raises FglocError as `load_sim` does for the text and for the world's file.
+    """
+    settings = parse(spec, NAMED)
+    return load_world(settings.world) if settings.world else None
 
 
 def true_values(model: RobotModel, spec: SimSpec) -> Floats:
@@ -108,49 +134,44 @@ def _slips(
 
 
 def simulate(spec: SimSpec, name: str) -> Drive:
-    """Return the drive of a spec whose motion is one of `MOTIONS`, under the id `name`."""
+    """Return the drive of a spec whose motion is one of `MOTIONS` or in a world, with id `name`."""
     model = build(spec.robot, spec.nominal_track)
     base = model.robot.base
     rate = spec.rate if spec.rate is not None else model.encoder_hz
     if rate > 1e9 / FINE_STEP_NS:
         raise FglocError(f"rate={rate}: at most {1e9 / FINE_STEP_NS:g} Hz can be simulated")
-    limits = Limits(
-        spec.speed if spec.speed is not None else model.speed,
-        model.turn_rate,
-        model.acceleration,
-        model.turn_acceleration,
-        model.holonomic,
-        spec.robot != "tricycle",
-    )
-    duration = spec.keyframes / rate if spec.keyframes is not None else spec.duration
-    profile = MOTIONS[spec.name](limits, duration, generator(spec.seed, "motion"))
-    # A whole number of packets, so that the last one ends with the drive.
-    packets = np.ceil((profile.duration_s if duration is None else duration) * rate - 1e-6)
-    total_ns = round(packets / rate * 1e9)
-    step_ns = FINE_STEP_NS if total_ns <= LONG_NS else COARSE_STEP_NS
-    steps = -(-total_ns // step_ns)
-    wanted = profile.displacements(step_ns * 1e-9, steps)
-
+    world = load_world(spec.world) if spec.world else None
+    if spec.lidar.kind != "off":
+        device(spec.lidar.kind)
+    wanted, start, step_ns = _wanted(spec, model, rate, world)
     values = true_values(model, spec)
     truth_by_name = {p.name: float(v) for p, v in zip(base.parameters, values, strict=True)}
+    icr_x = truth_by_name.get("icr_x", 0.0)
     if "icr_x" in truth_by_name:
-        wanted[:, 1] = -truth_by_name["icr_x"] * wanted[:, 2]
+        wanted[:, 1] = -icr_x * wanted[:, 2]
     noise = scaled(model.robot.noise, spec.wheel_noise)
     rng = generator(spec.seed, "rolling")
     commanded, true = disturb(wanted, base, values, model.steered, noise, step_ns * 1e-9, rng)
-    course = Course.follow(true, step_ns)
+    if world is not None:
+        # Holding the heading alone would take the robot through a wall after some time.
+        slip = true - commanded
+        commanded, true = keep_to_course(wanted, slip, start, model.holonomic, icr_x)
+    course = Course.follow(true, step_ns, start)
     angles, steering = roll(base, values, model.steered, commanded)
     encoder = spec.encoder
     if encoder.ticks < 0:
         encoder = replace(encoder, ticks=model.ticks)
     # Extra counts of a slip are the robot's own where the encoder is continuous.
     tick = 2.0 * np.pi / (encoder.ticks or model.ticks)
-    slips = _slips(spec, base, tick, rate, total_ns * 1e-9)
+    slips = _slips(spec, base, tick, rate, course.duration_ns * 1e-9)
     angles = apply_slip(angles, course.boundaries_ns, base.driven_names, slips)
     wheels = measure_wheels(
         course, angles, steering, base.driven_names, rate, encoder, generator(spec.seed, "encoder")
     )
     sensors, mounts = measure_all(course, spec)
+    if world is not None and spec.lidar.kind != "off":
+        scans, mount = measure_scans(course, world, spec.lidar, spec.people, spec.seed)
+        sensors, mounts = (*sensors, scans), mounts | mount
     stamps = course.stamps(spec.truth_rate if spec.truth_rate is not None else rate)
     truth = Trajectory(stamps, course.poses_at(stamps))
     return Drive(
@@ -162,3 +183,34 @@ def simulate(spec: SimSpec, name: str) -> Drive:
         notes=describe(slips),
         true_calibration=truth_by_name | mounts,
     )
+
+
+def _wanted(
+    spec: SimSpec, model: RobotModel, rate: float, world: World | None
+) -> tuple[Floats, Floats, int]:
+    """Return wanted displacements (M, 3), the pose they start from (3,) and their step [ns].
+
+    A whole number of packets at `rate` [Hz], so that the last one ends with the drive.
+    """
+    usual = model.speed if world is None else world.speed
+    limits = Limits(
+        spec.speed if spec.speed is not None else usual,
+        model.turn_rate,
+        model.acceleration,
+        model.turn_acceleration,
+        model.holonomic,
+        spec.robot != "tricycle",
+    )
+    duration = spec.keyframes / rate if spec.keyframes is not None else spec.duration
+    if world is None:
+        profile = MOTIONS[spec.name](limits, duration, generator(spec.seed, "motion"))
+    else:
+        tour = plan(world, limits, duration)
+        profile = tour.profile
+    packets = np.ceil((profile.duration_s if duration is None else duration) * rate - 1e-6)
+    total_ns = round(packets / rate * 1e9)
+    step_ns = FINE_STEP_NS if total_ns <= LONG_NS else COARSE_STEP_NS
+    steps = -(-total_ns // step_ns)
+    if world is None:
+        return profile.displacements(step_ns * 1e-9, steps), np.zeros(3), step_ns
+    return *tour.displacements(step_ns * 1e-9, steps), step_ns

@@ -125,3 +125,33 @@ class FixModel:
     """The true antenna position differs by this sigma [m]; 0 means known exactly."""
     dropout: float = 0.0
     """Probability that a fix is lost."""
+
+
+@dataclass(frozen=True)
+class LidarModel:
+    """A turning lidar of the RPLIDAR kind; only in drives that have a world."""
+
+    kind: str = "off"
+    """a1 (0.15-8 m, 1 %), a2 (0.2-12 m, 0.75 %) or off."""
+    rate: float = 10.0
+    """Turns per second [Hz]."""
+    beams: int = 400
+    """Beams a turn."""
+    share: float = -1.0
+    """White noise of a range as a share of it; -1 as the device has."""
+    range_sigma: float = 0.003
+    """White noise of a range that does not grow with it [m]."""
+    angle_sigma: float = 0.0026
+    """White noise of a beam's direction [rad]."""
+    dropout: float = 0.02
+    """Probability that a beam does not return."""
+    x: float = 0.15
+    """Nominal position on the robot, forward [m]."""
+    y: float = 0.0
+    """Nominal position on the robot, left [m]."""
+    yaw: float = 0.0
+    """Nominal heading on the robot [rad]."""
+    mount_sigma: float = 0.005
+    """The true position on the robot differs by this sigma, x and y [m]."""
+    yaw_sigma: float = 0.003
+    """The true heading on the robot differs by this sigma [rad]."""

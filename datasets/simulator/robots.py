@@ -64,6 +64,12 @@ def _mecanum() -> RobotModel:
     return RobotModel(Robot.typical("mecanum", base), 2000, 20.0, 0.5, 0.6, holonomic=True)
 
 
+def _youbot() -> RobotModel:
+    """Return seed B's mecanum platform, a KUKA youBot."""
+    base = bases.mecanum(0.0475, 0.2355, 0.15, ("fl", "fr", "rl", "rr"))
+    return RobotModel(Robot.typical("KUKA youBot", base), 2000, 20.0, 0.5, 0.6, holonomic=True)
+
+
 def _omni3() -> RobotModel:
     """Return a three-wheel omni robot, wheels at 60°, 180° and 300°."""
     base = bases.omni3((0.05, 0.05, 0.05), 0.15, (math.pi / 3, math.pi, -math.pi / 3))
@@ -89,6 +95,7 @@ ROBOTS: dict[str, Callable[[], RobotModel]] = {
     "skid": jaguar,
     "differential": _differential,
     "mecanum": _mecanum,
+    "youbot": _youbot,
     "omni3": _omni3,
     "tricycle": _tricycle,
     "swerve": _swerve,

@@ -18,6 +18,7 @@ from fgloc.datasets.simulator.models import (
     EncoderModel,
     FixModel,
     GyroModel,
+    LidarModel,
     YawModel,
 )
 from fgloc.errors import FglocError
@@ -32,7 +33,7 @@ class SimSpec:
     seed: int = 1
     """Seed of every random draw."""
     robot: str = "skid"
-    """skid (the Jaguar 4x4), differential, mecanum, omni3, tricycle or swerve."""
+    """skid (the Jaguar 4x4), differential, mecanum, youbot, omni3, tricycle or swerve."""
     duration: float | None = None
     """Length of the drive [s]; closed motions repeat their lap. None: the motion's own length."""
     keyframes: int | None = None
@@ -69,22 +70,32 @@ class SimSpec:
     """Odometry of a T265-like camera."""
     fix: FixModel = field(default_factory=FixModel)
     """Position fixes."""
+    lidar: LidarModel = field(default_factory=LidarModel)
+    """A turning lidar; worlds only."""
+    people: int = 0
+    """How many people walk about; worlds only."""
+    world: str = ""
+    """What the lidar sees: a world by name, or a TOML file by its path; worlds only."""
 
 
 SEED_A_KEYS = ("seed", "nominal_track", "yaw", "yaw_rate", "yaw_zero")
 """Keys of the seed-a drives: their motion, slip and noise are fixed by definition."""
 VEHICLE_KEYS = ("seed", "nominal_track", "wheel_noise")
 """Keys of the seed-a-vehicle drives: their motion and slip are those of three laboratory runs."""
+MOST_PEOPLE, MOST_BEAMS = 100, 10_000
+"""No more: beyond that a drive only takes time and memory."""
+WORLD_KEYS = ("lidar", "people", "world")
+"""Keys, and the sensor, of drives in a world; others have nothing to see."""
 ADDED_SENSORS = ("gyro", "acc", "camera", "fix")
 """Sensors that may be added to either, with all of their keys."""
 
 Setters = dict[str, tuple[tuple[str, ...], str]]
 
 
-def keys(drive: str = "") -> Setters:
+def keys(drive: str = "", *, world: bool = True) -> Setters:
     """Return the query keys of a named drive: key → (path of field names in SimSpec, type).
 
-    Without a name, all there are.
+    `world` says whether the drive has one. Without a name, all there are.
     """
     found: Setters = {}
     plain = SimSpec("")
@@ -94,10 +105,12 @@ def keys(drive: str = "") -> Setters:
         default = getattr(plain, f.name)
         if dataclasses.is_dataclass(default):
             for inner in dataclasses.fields(default):
-                key = f.name if inner.name == "on" else f"{f.name}_{inner.name}"
+                key = f.name if inner.name in ("on", "kind") else f"{f.name}_{inner.name}"
                 found[key] = ((f.name, inner.name), str(inner.type))
         else:
             found[f.name] = ((f.name,), str(f.type))
+    if not world:
+        found = {k: v for k, v in found.items() if v[0][0] not in WORLD_KEYS}
     if not drive.startswith("seed-a-"):
         return found
     if drive.startswith("seed-a-vehicle-"):
@@ -137,7 +150,7 @@ def parse(text: str, named: dict[str, SimSpec]) -> SimSpec:
             f"there is no simulated drive {name!r}; use one of {', '.join(sorted(named))}"
         )
     spec = named[name]
-    known = keys(name)
+    known = keys(name, world=bool(spec.world))
     for item in query.split("&") if query else []:
         key, equals, value = item.partition("=")
         if key not in known or not equals:
@@ -166,8 +179,9 @@ def _validate(spec: SimSpec) -> None:
         "nominal_track": spec.nominal_track,
         "truth_rate": spec.truth_rate,
         "fix_sigma": spec.fix.sigma,
+        "lidar_range_sigma": spec.lidar.range_sigma,
     }
-    for sensor in ("yaw", "gyro", "acc", "camera"):
+    for sensor in ("yaw", "gyro", "acc", "camera", "lidar"):
         positive[f"{sensor}_rate"] = getattr(spec, sensor).rate
     for key, value in positive.items():
         if value is not None and not value > 0:
@@ -176,10 +190,14 @@ def _validate(spec: SimSpec) -> None:
         raise FglocError(f"seed={spec.seed}: a seed must not be negative")
     if spec.calibration not in ("drawn", "prior", "nominal"):
         raise FglocError(f"calibration={spec.calibration}: write drawn, prior or nominal")
-    for sensor in ("encoder", "yaw", "gyro", "acc", "camera", "fix"):
+    for sensor in ("encoder", "yaw", "gyro", "acc", "camera", "fix", "lidar"):
         dropout = getattr(spec, sensor).dropout
         if not 0.0 <= dropout < 1.0:
             raise FglocError(f"{sensor}_dropout={dropout}: a probability below 1 is needed")
+    if not 0 <= spec.people <= MOST_PEOPLE:
+        raise FglocError(f"people={spec.people}: from 0 to {MOST_PEOPLE} can walk about")
+    if not 2 <= spec.lidar.beams <= MOST_BEAMS:
+        raise FglocError(f"lidar_beams={spec.lidar.beams}: from 2 to {MOST_BEAMS} are possible")
     if spec.fix.every < 0.0:
         raise FglocError(f"fix_every={spec.fix.every}: a time in seconds, or 0 for no fixes")
     if spec.duration is not None and spec.keyframes is not None:

@@ -18,6 +18,8 @@ STREAMS = (
     "fix",
     "log",
     "mount",
+    "lidar",
+    "people",
 )
 """Names of the streams. New ones go to the end: the position is what keeps old drives the same."""
 

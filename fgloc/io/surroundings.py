@@ -28,6 +28,11 @@ GPS_SIGMA = 2.5
 GPS_BOUNDS = (1e-3, 100.0)
 """Standard deviations of a fix outside are placeholders [m]."""
 
+RANGE_SIGMA_M, RANGE_SHARE = 0.01, 0.01
+"""Noise of a small lidar's range: what does not grow with it [m], and a share of it."""
+LONGEST_RANGE_M = 1000.0
+"""Longest range of a lidar that states none [m]."""
+
 
 def read_truth(
     messages: Messages, given: TruthTable, rejected: Counter[str], notes: list[str]
@@ -155,6 +160,9 @@ def read_scans(
     with np.errstate(invalid="ignore"):
         seen = np.isfinite(ranges) & (ranges >= low) & (ranges <= high) & (ranges > 0.0)
     first = rows[alike[0]]
+    # The widest that any scan says: what each of them says was applied to its own ranges.
+    longest = float(high[np.isfinite(high)].max(initial=0.0)) or LONGEST_RANGE_M
+    shortest = float(max(0.0, low[np.isfinite(low)].min(initial=longest)))
     scans = Scans(
         "lidar",
         stamps[alike],
@@ -164,8 +172,24 @@ def read_scans(
         beam_period=max(0.0, float(first[2])),
         mount=given.mount or (0.0, 0.0, 0.0),
         mount_sigma=given.mount_sigma or (0.05, 0.05, 0.05),
+        range_sigma=_given(given.range_sigma, RANGE_SIGMA_M),
+        range_sigma_share=_given(given.range_sigma_share, RANGE_SHARE),
+        bearing_sigma=_given(given.bearing_sigma, 0.25 * abs(float(first[1]))),
+        min_range=shortest if shortest < longest else 0.0,
+        max_range=longest,
     )
     used = msgspec.structs.replace(
-        given, topic=messages.topic, mount=scans.mount, mount_sigma=scans.mount_sigma
+        given,
+        topic=messages.topic,
+        mount=scans.mount,
+        mount_sigma=scans.mount_sigma,
+        range_sigma=scans.range_sigma,
+        range_sigma_share=scans.range_sigma_share,
+        bearing_sigma=scans.bearing_sigma,
     )
     return scans, used
+
+
+def _given(value: float | None, otherwise: float) -> float:
+    """Return a value if there is one."""
+    return otherwise if value is None else value

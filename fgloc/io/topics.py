@@ -122,6 +122,12 @@ class ScanTable(Role, frozen=True, forbid_unknown_fields=True):
     """Pose of the lidar on the robot: x, y [m], yaw [rad]; None: zeros."""
     mount_sigma: Pose | None = None
     """Prior standard deviations of that pose; None: 0.05 m, 0.05 m, 0.05 rad."""
+    range_sigma: float | None = None
+    """Noise of a range [m] that does not grow with it; None: 0.01."""
+    range_sigma_share: float | None = None
+    """Noise of a range as a share of it; None: 0.01, as small lidars have."""
+    bearing_sigma: float | None = None
+    """Noise of a beam's direction [rad]; None: a quarter of the angle between beams."""
 
 
 class GpsTable(Role, frozen=True, forbid_unknown_fields=True):
@@ -155,8 +161,11 @@ _POSITIVE = (
     "position_walk",
     "heading_walk",
     "sigma",
+    "range_sigma",
 )
 """Keys whose numbers must be above zero."""
+_NOT_NEGATIVE = ("mount_sigma", "yaw_drift", "range_sigma_share", "bearing_sigma")
+"""Keys whose numbers may be zero."""
 
 
 @dataclass(frozen=True)
@@ -243,7 +252,7 @@ def load_topics(path: str | Path) -> TopicMap:
     for name, table in tables.items():
         for key, value in msgspec.structs.asdict(table).items():
             lowest = SMALLEST if key in _POSITIVE else -math.inf
-            lowest = 0.0 if key in ("mount_sigma", "yaw_drift") else lowest
+            lowest = 0.0 if key in _NOT_NEGATIVE else lowest
             for number in value if isinstance(value, tuple) else (value,):
                 if isinstance(number, float):
                     file.check_number(number, lowest, name, key)

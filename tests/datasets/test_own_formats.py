@@ -23,6 +23,7 @@ from fgloc.core.measurements import (
     PoseFixes,
     PositionFixes,
     Scans,
+    Survey,
     WheelIncrements,
     Yaw,
     YawRate,
@@ -77,13 +78,31 @@ def whole_drive() -> Drive:
             CameraPoses("camera", stamps(2), rng.normal(size=(2, 3)), 0.01, 0.02),
             PositionFixes("gps", stamps(1), rng.normal(size=(1, 2)), np.ones((1, 2))),
             PoseFixes("truth", stamps(2), rng.normal(size=(2, 3)), np.ones((2, 3))),
-            Scans("lidar", stamps(2), rng.uniform(size=(2, 5)), -1.0, 0.1),
+            Scans(
+                "lidar",
+                stamps(2),
+                np.where(rng.uniform(size=(2, 5)) > 0.5, rng.uniform(size=(2, 5)), 0.0),
+                -1.0,
+                -0.1,
+                1 / 3,
+                (0.1, -0.2, 0.3),
+                (0.01, 0.02, 0.03),
+                0.02,
+                0.01,
+                0.003,
+                0.1,
+                8.0,
+            ),
             LandmarkSightings(
                 "marks",
                 np.repeat(stamps(2), 2),
                 np.array([1, 2**53 + 1, 3, 4]),
                 rng.uniform(size=4),
                 rng.uniform(size=4),
+                mount=(0.1, 0.2, 0.3),
+                survey=Survey(
+                    np.array([9, 1, 3]), rng.normal(size=(3, 2)), rng.uniform(1.0, 2.0, (3, 2))
+                ),
             ),
         ),
         truth=Reference(Trajectory(stamps(4), rng.normal(size=(4, 3)), covariance), "optitrack"),
@@ -111,10 +130,54 @@ def test_a_whole_drive_comes_back(tmp_path: Path, write: Any, read: Any, suffix:
 
 
 @pytest.mark.parametrize(("write", "read", "suffix"), FORMATS)
+def test_an_empty_survey_comes_back(tmp_path: Path, write: Any, read: Any, suffix: str) -> None:
+    drive = whole_drive()
+    nothing = Survey(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
+    marks = dataclasses.replace(drive.sensors[-1], landmark=np.arange(4), survey=nothing)
+    drive = dataclasses.replace(drive, sensors=(marks,))
+    write(drive, tmp_path / f"a{suffix}")
+    assert differences(drive, read(tmp_path / f"a{suffix}")) == []
+
+
+def test_an_npz_from_before_surveys_and_noise_of_scans_reads(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    drive = whole_drive()
+    marks = dataclasses.replace(drive.sensors[-1], survey=None, mount=(0.0, 0.0, 0.0))
+    stripped = dataclasses.replace(drive, sensors=(drive.sensors[-2], marks))
+    write_npz(stripped, path)
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    header = json.loads(arrays["header"].tobytes())
+    for node in header["drive"]["sensors"]:
+        for new in ("survey", "mount", "mount_sigma", "range_sigma", "range_sigma_share"):
+            node.pop(new, None)
+        for new in ("bearing_sigma", "min_range", "max_range"):
+            node.pop(new, None)
+    arrays["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
+    np.savez(path, **arrays)
+    scans = read_npz(path).each(Scans)[0]
+    np.testing.assert_array_equal(scans.ranges, stripped.sensors[0].ranges)
+    assert scans.max_range == 1000.0
+    assert read_npz(path).each(LandmarkSightings)[0].survey is None
+
+
+def test_sightings_of_a_csv_that_go_back_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    write_csv(whole_drive(), path)
+    lines = path.read_text().splitlines()
+    first = next(line for line in lines if line.startswith("marks,"))
+    path.write_text("\n".join([*lines, first]) + "\n")
+    drive = read_csv(path)
+    assert drive.rejected["marks time goes back"] == 1
+    assert drive.each(LandmarkSightings)[0].stamps_ns.size == 4
+
+
+@pytest.mark.parametrize(("write", "read", "suffix"), FORMATS)
+@pytest.mark.parametrize("name", ["optiodom:tricyc/free/140120211508/01", "csail:0"])
 def test_a_recorded_drive_comes_back(
-    tmp_path: Path, data_dir: Path, write: Any, read: Any, suffix: str
+    tmp_path: Path, data_dir: Path, name: str, write: Any, read: Any, suffix: str
 ) -> None:
-    drive = load_drive("optiodom:tricyc/free/140120211508/01", data_dir)
+    drive = load_drive(name, data_dir)
     write(drive, tmp_path / f"a{suffix}")
     assert differences(drive, read(tmp_path / f"a{suffix}")) == []
 

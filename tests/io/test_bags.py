@@ -118,6 +118,10 @@ def check_everything(drive: Drive) -> None:
     assert scans.ranges.tolist() == [[1, 0, 0, 0, 2], [1, 0, 0, 0, 3], [1, 0, 0, 0, 4]]
     assert (scans.angle_min, scans.angle_increment) == (-1.0, 0.5)
     assert scans.beam_period == pytest.approx(0.001)
+    assert (scans.min_range, scans.max_range) == (np.float32(0.1), 10.0)
+    # Beams are 0.5 rad apart; a small lidar's noise is a centimetre and a percent.
+    noise = (scans.range_sigma, scans.range_sigma_share, scans.bearing_sigma)
+    assert noise == (0.01, 0.01, 0.125)
     assert drive.truth is not None
     np.testing.assert_allclose(
         drive.truth.trajectory.poses, [ARC.pose(s) for s in ARC.stamps], atol=1e-12
