@@ -62,7 +62,12 @@ class Keeper:
         """
         window, width = self.window, self.window.layout.width
         assert window.prior is not None
-        window.prior, keep = put_aside(window.prior, window.landmarks, numbers)
+        marks = window.landmarks
+        window.prior, keep = put_aside(window.prior, marks, numbers)
+        gone = [number for number in marks.dead if number in marks.aside.numbers]
+        if gone:
+            marks.aside.forget(gone)
+            marks.dead = [number for number in marks.dead if number not in gone]
         window.rearrange(keep.size)
         own = np.append(np.arange(width), keep + width)
         return border[keep], joint[np.ix_(own, own)]

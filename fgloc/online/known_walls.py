@@ -38,6 +38,27 @@ class KnownWalls:
         self.reach.append(0.0)
         self.sightings.append(0)
 
+    def drop(self, number: int) -> None:
+        """Do not know a wall any more."""
+        k = self._rows[number]
+        for column in (self.numbers, self.anchors, self.reach, self.sightings):
+            column.replace(np.delete(column.view, k, axis=0))
+        self._rows = {int(n): row for row, n in enumerate(self.numbers.view)}
+
+    def join(self, number: int, other: int, line: Floats) -> None:
+        """Take the reach and sightings of another wall over, and drop that; `line` (2,) is this."""
+        k, j = self._rows[number], self._rows[other]
+        tangent = np.array([-np.sin(line[0]), np.cos(line[0])])
+        along = float(tangent @ (self.anchors.view[j] - self.anchors.view[k]))
+        seen, more = self.reach.view[k], along + self.reach.view[j]
+        seen[0], seen[1] = min(seen[0], more[0]), max(seen[1], more[1])
+        self.sightings.view[k] += self.sightings.view[j]
+        self.drop(other)
+
+    def count(self, number: int) -> int:
+        """Return how many segments told of a wall."""
+        return int(self.sightings.view[self._rows[number]])
+
     def anchor(self, number: int) -> Floats:
         """Return the anchor (2,) of a wall."""
         anchor: Floats = self.anchors.view[self._rows[number]]

@@ -35,6 +35,8 @@ class Landmarks:
         self.used: list[int] = []
         """Numbers of the landmarks in use, by place."""
         self.aside = Aside(width, parameters)
+        self.dead: list[int] = []
+        """Landmarks that are given up as soon as nothing in the window sees them."""
 
     def columns(self, number: int) -> slice:
         """Return the columns of the border that belong to a landmark in use."""
@@ -78,6 +80,23 @@ def wider(prior: FactorTable, width: int, guesses: Floats, root: Floats) -> Fact
     whole = np.zeros((n + m, n + m))
     whole[:n, :n], whole[n:, n:] = prior.sqrt_information[0], root
     return joined(prior, state, np.append(border, guesses), np.append(offset, np.zeros(m)), whole)
+
+
+def informed(
+    prior: FactorTable, width: int, border: Floats, residual: Floats, by_border: Floats
+) -> FactorTable:
+    """Return a prior that knows something more of the border (n,).
+
+    Namely that a whitened residual (d,), with derivative (d, n) there, should be zero. O(n³).
+    """
+    state, at, offset = split(prior, width)
+    root = prior.sqrt_information[0]
+    more = np.concatenate([np.zeros((residual.size, width)), by_border], axis=1)
+    right = np.append(root @ offset, by_border @ (border - at) - residual)
+    rows = triangle(np.column_stack([np.concatenate([root, more]), right]))
+    n = offset.size
+    left = np.ascontiguousarray(rows[:n, :n])
+    return joined(prior, state, at, np.linalg.solve(left, rows[:n, n]), left)
 
 
 def put_aside(

@@ -14,6 +14,7 @@ from fgloc.estimator import Result, WheelSlip, calibration_of
 from fgloc.online.engine import OnlineEngine, Start
 from fgloc.online.session import ReplayOptions, Session
 from fgloc.online.settings import OnlineSettings
+from fgloc.online.surroundings import map_notes, map_of
 from fgloc.smoothing.slip_report import slip_notes, wheel_slips
 
 SURPRISING = 4.0
@@ -57,11 +58,13 @@ class OnlineSmoother:
             notes=(
                 *notes(engine),
                 *slip_notes(slips, start_ns, seen_by_others(engine)),
+                *map_notes(engine),
                 *session.notes,
             ),
             live=session.live,
             slips=slips,
             calibration_covariance=covariance,
+            map=map_of(engine),
         )
 
 

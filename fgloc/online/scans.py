@@ -18,6 +18,7 @@ from fgloc.factors.tables import Kind
 from fgloc.lidar.lines import extract
 from fgloc.lidar.scan import cloud
 from fgloc.lidar.segments import Segments
+from fgloc.online.duplicates import FLAT, difference, first_pair
 from fgloc.online.fixes import Fix
 from fgloc.online.known_walls import KnownWalls
 from fgloc.online.layout import Place
@@ -33,6 +34,8 @@ UNKNOWN = np.array([10.0, 1e3])
 """Sigma of a wall's direction [rad] and offset [m] before it is seen."""
 PROBABILITY = 0.999
 """True matches pass the gates with this probability."""
+ESTABLISHED = 6
+"""A wall that was not seen so often before it was put aside was none."""
 UNCLEAR = "a piece of wall that may belong to several walls"
 ASKEW = "a piece of wall near a known one that it does not fit"
 SELDOM = "a piece of wall that was not seen often enough"
@@ -57,6 +60,10 @@ class ScanTable:
         self._gates = Gates.of(PROBABILITY)
         self._stamps: list[int] = []
         self._last: tuple[int, Floats] | None = None
+        self.way_m, self.turn = WAY_M, TURN
+        self._tidied = -1
+        self.joined = 0
+        self.forgotten = 0
         self.used = 0
         self.unused = 0
 
@@ -74,7 +81,7 @@ class ScanTable:
             stamp, pose = self._last
             moved = between(pose, state[:3])
             way, turn = float(np.hypot(moved[0], moved[1])), abs(float(moved[2]))
-            if way < WAY_M and turn < TURN and now - stamp < REST_NS:
+            if way < self.way_m and turn < self.turn and now - stamp < REST_NS:
                 self.unused += 1
                 return False
         self._last = now, state[:3].copy()
@@ -86,6 +93,24 @@ class ScanTable:
         self._stamps = [stamp for stamp in self._stamps if stamp >= before_ns]
         lost = self.tentative.prune(self._host.window, self._host.now_ns)
         self._host.reject(self.sensor, SELDOM, lost)
+        self._forget()
+
+    def _forget(self) -> None:
+        """Give up walls that were seen no more soon after they were met: they were none."""
+        marks = self._host.window.landmarks
+        aside = set(marks.aside.numbers)
+        gone = [
+            number
+            for number, seen in zip(
+                self.walls.numbers.view.tolist(), self.walls.sightings.view.tolist(), strict=True
+            )
+            if seen < ESTABLISHED and number in aside
+        ]
+        for number in gone:
+            self.walls.drop(number)
+        if gone:
+            marks.aside.forget(gone)
+        self.forgotten += len(gone)
 
     def pending(self) -> list[str]:
         """Return a reason for each segment that still waits for others to make a wall."""
@@ -94,6 +119,10 @@ class ScanTable:
     def add(self, number: int, fix: Fix, moved: Floats | None) -> None:
         """Make factors of a scan that ended at a keyframe, or `moved` (3,) away from it."""
         host = self._host
+        self._tidy()
+        if number < host.window.base:
+            host.reject(self.sensor, LATE)
+            return
         mount, segments = self._segments(number, fix, moved)
         if segments.scan.size == 0:
             host.reject(self.sensor, "no wall in it")
@@ -114,6 +143,28 @@ class ScanTable:
             found = self.tentative.add(one, host.window)
             if found is not None:
                 self._meet(found)
+
+    def _tidy(self) -> None:
+        """Join walls that turned out to be one, once the window has moved on."""
+        host, window = self._host, self._host.window
+        if self._tidied == window.base:
+            return
+        self._tidied = window.base
+        marks, border = window.landmarks, host.map_smoother.border
+        walls, numbers, joint = self.walls.in_use(border, self._known(), slice(0, 0))
+        pair = first_pair(walls, joint[3:, 3:])
+        if pair is None:
+            return
+        one, other = (int(numbers[k]) for k in pair)
+        residual, by_both = difference(walls, *pair)
+        by_border = np.zeros((2, border.size))
+        by_border[:, marks.columns(one)] = by_both[:, :2] / FLAT[:, None]
+        by_border[:, marks.columns(other)] = by_both[:, 2:] / FLAT[:, None]
+        host.map_smoother.inform(residual / FLAT, by_border)
+        self.walls.join(one, other, border[marks.columns(one)])
+        marks.dead.append(other)
+        self.joined += 1
+        host.update()
 
     def _segments(self, number: int, fix: Fix, moved: Floats | None) -> tuple[Floats, Segments]:
         """Return where the lidar was at the first beam, seen from the keyframe, and what it saw."""

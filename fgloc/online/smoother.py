@@ -22,7 +22,7 @@ from fgloc.errors import FglocError
 from fgloc.factors.tables import FactorTable
 from fgloc.online.descent import descend
 from fgloc.online.keeper import Keeper
-from fgloc.online.landmarks import split
+from fgloc.online.landmarks import informed, split
 from fgloc.online.live_table import LiveTable
 from fgloc.online.passes import (
     Judged,
@@ -120,6 +120,7 @@ class WindowSmoother:
         self._keeper = Keeper(window)
         # Landmarks put aside that the next update takes back into use.
         self.wanted: list[int] = []
+        self._anew = False
 
     @property
     def posterior(self) -> Posterior:
@@ -189,7 +190,7 @@ class WindowSmoother:
         judging = (joint, moved, self._gates)
         # A long window is linearised anew the more seldom, so that the effort stays the same.
         often = max(self._settings.relinearise_every, len(window.stamps_ns) // SELDOM)
-        if self._since_whole < often and not self.wanted:
+        if self._since_whole < often and not (self.wanted or self._anew):
             # Without a new factor the wheels' are all there is to go on by.
             oldest = window.newest if dirty is None else dirty
             forward = oldest > solved.number
@@ -200,7 +201,7 @@ class WindowSmoother:
                 if step is not None and trusted(step):
                     self._accept(step)
                     return {}
-        self._since_whole = 0
+        self._since_whole, self._anew = 0, False
         idle = [k for k in self._keeper.idle() if k not in self.wanted]
         if idle:
             self.border, joint = self._keeper.put_aside(idle, self.border, joint)
@@ -209,6 +210,14 @@ class WindowSmoother:
             self.border = self._keeper.take_back(wanted, self.border)
         step = self._whole((joint, moved, self._gates))
         return self._slide(self._explore() or step)
+
+    def inform(self, residual: Floats, by_border: Floats) -> None:
+        """Tell something of landmarks in use; see `informed`. The next update is over all."""
+        window = self.window
+        assert window.prior is not None
+        width = window.layout.width
+        window.prior = informed(window.prior, width, self.border, residual, by_border)
+        self._anew = True
 
     def enter(self, guesses: Floats, root: Floats) -> list[int]:
         """Take new landmarks into use; see `Keeper.enter`. Returns their numbers."""

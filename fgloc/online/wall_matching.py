@@ -4,7 +4,7 @@ Segments are taken one after the other, those that leave no doubt first. A wall 
 it faces the sensor, reaches as far as the segment, and the innovation is inside its gate:
 S = H P Hᵀ + R, with P the joint covariance of the pose and all walls. Each match then updates pose
 and walls as a Kalman filter would, so that the next one is judged given those before; their
-normalised innovations add up to that of the joint innovation, which has to be compatible as well (the
+normalised innovations add up to that of the joint innovation, which must be compatible as well (the
 sequential form of Neira and Tardós' joint compatibility). Where the first choice is not clear,
 every choice is tried, and the one that explains most segments wins, if no other does as well.
 """
