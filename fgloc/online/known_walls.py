@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from fgloc.core.geometry import compose
 from fgloc.core.measurements import Floats, Stamps
+from fgloc.estimator import DOWN_WEIGHTED
 from fgloc.online.growing import GrowingArray
 from fgloc.online.wall_matching import Candidates
 from fgloc.online.window import Window
 
-VAGUE = np.array([0.5, 1.0])
-"""A wall known less well than this in direction [rad] and offset [m] is not recognised."""
+VAGUE = np.array([3.0, 100.0])
+"""A wall known less well than this in direction [rad] and offset [m] was never really seen."""
+REFUTED = 3
+"""A wall that so many sightings contradict, and most of them, is not looked for."""
 
 
 class KnownWalls:
@@ -27,6 +31,8 @@ class KnownWalls:
         """Where it was seen, along its tangent from the anchor's foot [m]."""
         self.sightings = GrowingArray((), np.int64)
         """How many segments told of it."""
+        self.retired: list[int] = []
+        """Landmarks of walls that are not looked for: the robot is lost beside them."""
         self._rows: dict[int, int] = {}
         self._marginals: tuple[tuple[int, ...], Floats] | None = None
 
@@ -37,6 +43,23 @@ class KnownWalls:
         self.anchors.append(anchor)
         self.reach.append(0.0)
         self.sightings.append(0)
+
+    def retire(self) -> None:
+        """Look for none of the walls known so far, until they are taken back."""
+        self.retired = self.numbers.view.tolist()
+
+    def retire_refuted(self, seen: Stamps, weights: Floats) -> None:
+        """Look no more for walls whose sightings `seen` (M,) are mostly not believed.
+
+        By their robust weights (M,), infinite where they are not known yet.
+        """
+        judged = np.isfinite(weights)
+        numbers = seen[judged]
+        count = np.bincount(numbers, minlength=1)
+        low = np.bincount(numbers[weights[judged] < DOWN_WEIGHTED], minlength=count.size)
+        for number in np.flatnonzero((low >= REFUTED) & (2 * low > count)).tolist():
+            if number in self._rows and number not in self.retired:
+                self.retired.append(number)
 
     def drop(self, number: int) -> None:
         """Do not know a wall any more."""
@@ -86,7 +109,7 @@ class KnownWalls:
         """
         marks, b = self._window.landmarks, self._window.layout.width
         places = marks.places.view[self.numbers.view]
-        rows = np.flatnonzero(places >= 0)
+        rows = np.flatnonzero((places >= 0) & self._sought())
         columns = marks.parameters + 2 * places[rows][:, None] + np.arange(2)
         sigma = np.sqrt(np.maximum(np.diag(joint)[b + columns], 0.0))
         clear = (sigma < VAGUE).all(axis=1)
@@ -99,6 +122,10 @@ class KnownWalls:
         )
         return walls, self.numbers.view[rows], np.ascontiguousarray(joint[np.ix_(own, own)])
 
+    def _sought(self) -> npt.NDArray[np.bool_]:
+        """Return (W,) which walls are looked for."""
+        return ~np.isin(self.numbers.view, self.retired)
+
     def aside(self, state: Floats, border: Floats) -> tuple[Candidates, Stamps, Floats] | None:
         """Return the walls put aside, their landmarks and marginal covariances (W, 2, 2).
 
@@ -106,7 +133,8 @@ class KnownWalls:
         the window has moved, else O(W·n).
         """
         aside = self._window.landmarks.aside
-        mine = [k for k, number in enumerate(aside.numbers) if number in self._rows]
+        sought = set(self.numbers.view[self._sought()].tolist())
+        mine = [k for k, number in enumerate(aside.numbers) if number in sought]
         if not mine:
             return None
         stand = (self._window.base, *aside.numbers)

@@ -18,6 +18,7 @@ from fgloc.factors.tables import Kind
 from fgloc.lidar.lines import extract
 from fgloc.lidar.scan import cloud
 from fgloc.lidar.segments import Segments
+from fgloc.online.bearings import Bearings
 from fgloc.online.duplicates import FLAT, difference, first_pair
 from fgloc.online.fixes import Fix
 from fgloc.online.known_walls import KnownWalls
@@ -26,7 +27,7 @@ from fgloc.online.live_table import LiveTable
 from fgloc.online.propagate import moved_from
 from fgloc.online.spots import LATE, MapHost
 from fgloc.online.tentative import Sighting, Tentative
-from fgloc.online.wall_matching import DOUBTFUL, NEAR, NONE, Gates, match, possible
+from fgloc.online.wall_matching import DOUBTFUL, NEAR, NONE, SURE, Gates, match, possible
 
 WAY_M, TURN, REST_NS = 0.15, 0.12, 1_000_000_000
 """A scan is used after so much way [m], turn [rad] or time [ns] since the last one."""
@@ -36,6 +37,12 @@ PROBABILITY = 0.999
 """True matches pass the gates with this probability."""
 ESTABLISHED = 6
 """A wall that was not seen so often before it was put aside was none."""
+JOLT = np.array([2.0, 2.0, 0.5])
+"""How far a robot may have been moved that was lost [m, m, rad]."""
+RETRY = 10
+"""A robot that is lost looks for the walls that it knew with every so many scans."""
+ANYWHERE = np.array([5.0, 5.0, 2.0])
+"""The same, where no wall fits near by."""
 UNCLEAR = "a piece of wall that may belong to several walls"
 ASKEW = "a piece of wall near a known one that it does not fit"
 SELDOM = "a piece of wall that was not seen often enough"
@@ -57,6 +64,7 @@ class ScanTable:
         self.table: LiveTable = window.table(Kind.WALL, sensor.sensor, (8, 2), place.block, loss)
         self.walls = KnownWalls(window)
         self.tentative = Tentative()
+        self.bearings = Bearings()
         self._gates = Gates.of(PROBABILITY)
         self._stamps: list[int] = []
         self._last: tuple[int, Floats] | None = None
@@ -129,6 +137,10 @@ class ScanTable:
             return
         rows, noise = self._rows(segments, mount)
         chosen = self._match(number, rows, segments.reach, noise)
+        if self.walls.retired and self.used % RETRY == 0:
+            chosen = self._find_again(chosen, number, rows, segments.reach, noise)
+        if self.bearings.doubts(chosen, number, host.window):
+            chosen = self._look_around(chosen, number, rows, segments.reach, noise)
         if number < host.window.base:
             host.reject(self.sensor, LATE, chosen.size)
             return
@@ -150,6 +162,7 @@ class ScanTable:
         if self._tidied == window.base:
             return
         self._tidied = window.base
+        self.walls.retire_refuted(self.table.second.view, self.table.weight.view)
         marks, border = window.landmarks, host.map_smoother.border
         walls, numbers, joint = self.walls.in_use(border, self._known(), slice(0, 0))
         pair = first_pair(walls, joint[3:, 3:])
@@ -189,8 +202,59 @@ class ScanTable:
         rows[:, 0], rows[:, 1:3], rows[:, 5:8] = segments.normal, segments.middle, mount
         return rows, segments.covariance + self._rounding
 
-    def _match(self, number: int, rows: Floats, reach: Floats, noise: Floats) -> Stamps:
-        """Return the landmark of each segment, or why there is none."""
+    def _look_around(
+        self, chosen: Stamps, number: int, rows: Floats, reach: Floats, noise: Floats
+    ) -> Stamps:
+        """Return the landmark of each segment for a robot that may not be where it thinks it is.
+
+        It is lost if many more segments fit some metres away, or none fit here for long.
+        """
+        host, window = self._host, self._host.window
+        elsewhere = self._match(number, rows, reach, noise, JOLT)
+        better = int((elsewhere >= 0).sum()) >= int((chosen >= 0).sum()) + 2
+        if not (better or self.bearings.blind):
+            return chosen
+        waiting = len(self.pending())
+        self.tentative = Tentative()
+        host.reject(self.sensor, SELDOM, waiting)
+        begin = max(self.bearings.good, window.base)
+        jolt = JOLT if better else ANYWHERE
+        host.map_smoother.jolt(begin, jolt / np.sqrt(max(window.newest - begin, 1)))
+        host.update()
+        if number >= window.base:
+            chosen = self._match(number, rows, reach, noise, lost=True)
+            if not (chosen >= 0).any():
+                # Else the many walls that may be meant keep it from mapping where it is now.
+                self.walls.retire()
+                chosen = np.full(chosen.size, NONE, np.int64)
+        self.bearings.settle(chosen, number)
+        return chosen
+
+    def _find_again(
+        self, chosen: Stamps, number: int, rows: Floats, reach: Floats, noise: Floats
+    ) -> Stamps:
+        """Return the landmark of each segment, for a robot that was lost and may be so no more."""
+        retired, self.walls.retired = self.walls.retired, []
+        again = self._match(number, rows, reach, noise, lost=True)
+        if int(np.isin(again, retired).sum()) >= SURE:
+            self.bearings.times_found += 1
+            return again
+        self.walls.retired = retired
+        return chosen
+
+    def _match(
+        self,
+        number: int,
+        rows: Floats,
+        reach: Floats,
+        noise: Floats,
+        jolt: Floats | None = None,
+        lost: bool = False,
+    ) -> Stamps:
+        """Return the landmark of each segment, or why there is none.
+
+        `jolt` (3,) are sigmas by which the robot may be elsewhere, besides what is known.
+        """
         host = self._host
         wanted = self._distant(number, rows, reach, noise)
         if wanted:
@@ -200,9 +264,17 @@ class ScanTable:
         walls, numbers, joint = self.walls.in_use(
             host.map_smoother.border, self._known(), self._block
         )
-        pose = host.window.state(number)[:3]
-        chosen, _ = match(rows, reach, noise, pose, self._calibration(), joint, walls, self._gates)
-        return np.where(chosen >= 0, numbers[chosen], chosen) if numbers.size else chosen
+        if jolt is not None:
+            joint[[0, 1, 2], [0, 1, 2]] += jolt**2
+        pose, lost = host.window.state(number)[:3], lost or jolt is not None
+        chosen, _ = match(
+            rows, reach, noise, pose, self._calibration(), joint, walls, self._gates, lost
+        )
+        return (
+            np.where(chosen >= 0, numbers[np.maximum(chosen, 0)], chosen)
+            if numbers.size
+            else chosen
+        )
 
     def _distant(self, number: int, rows: Floats, reach: Floats, noise: Floats) -> list[int]:
         """Return the walls put aside that a segment may show.

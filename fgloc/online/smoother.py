@@ -64,6 +64,8 @@ ROUGH = 1e-3
 """Relative decrease at which a minimum is found well enough; the next passes go on from there."""
 HELD = 6000
 """Keyframes that a window may hold while it is not known where the drive started."""
+TURNED = 5e-3
+"""A step that turns the window by more [rad] is followed by another where there are landmarks."""
 SETTLED = 0.3
 """A change of a robust weight that is worth another pass."""
 
@@ -200,6 +202,10 @@ class WindowSmoother:
                 step = self._step(begin, prior, forward, judging)
                 if step is not None and trusted(step):
                     self._accept(step)
+                    # What was solved before has turned: with landmarks about, what is carried no
+                    # longer fits where they are linearised, and would seem to know more.
+                    turned = abs(float(step.elimination.step[0, 2]))
+                    self._anew = bool(window.landmarks.used) and turned > TURNED
                     return {}
         self._since_whole, self._anew = 0, False
         idle = [k for k in self._keeper.idle() if k not in self.wanted]
@@ -217,6 +223,14 @@ class WindowSmoother:
         assert window.prior is not None
         width = window.layout.width
         window.prior = informed(window.prior, width, self.border, residual, by_border)
+        self._anew = True
+
+    def jolt(self, begin: int, sigma: Floats) -> None:
+        """Allow for motion that the wheels do not know of; see `Window.jolt`.
+
+        The next update is over all.
+        """
+        self.window.jolt(begin, sigma, self.calibration)
         self._anew = True
 
     def enter(self, guesses: Floats, root: Floats) -> list[int]:
@@ -288,7 +302,8 @@ class WindowSmoother:
             self._accept(step)
             # Not the step itself: it is as large as the window, and would be in every checkpoint.
             self._strain = mean_cost(step.tables, step.squared)
-            if reweight(window, step) < SETTLED:
+            settled = reweight(window, step) < SETTLED
+            if settled and not (window.landmarks.used and step.turned > TURNED):
                 break
         assert step is not None
         return step

@@ -89,6 +89,13 @@ def map_notes(engine: OnlineEngine) -> Iterator[str]:
                 f"{table.used} scans of {table.sensor} were used, {table.unused} came before the "
                 f"robot had moved {table.way_m:g} m or {np.degrees(table.turn):.0f} deg on"
             )
+        bearings = table.bearings
+        if bearings.times_lost:
+            yield (
+                f"{bearings.times_lost} times the walls that {table.sensor} saw did not fit any "
+                "more: the robot was moved, or its wheels hung in the air; "
+                f"{bearings.times_found} times it found its place again at once"
+            )
         if table.joined or table.forgotten:
             yield (
                 f"{table.joined} walls of {table.sensor} were found to be parts of others, "

@@ -24,7 +24,13 @@ from fgloc.factors.kernels.lidar import wall as wall_kernel
 FACING = 0.7
 """A wall seen at an angle that differs by more [rad] is another one, whatever the uncertainty."""
 MARGIN = 9.0
-"""The second best wall must be this much less likely (difference of normalised squares)."""
+"""The second best wall must be this much less likely (difference of -2 log likelihood)."""
+SURE, SHARE = 3, 0.7
+"""A robot that was lost has found its place if so many segments, and this share of all, fit."""
+ELSEWHERE = np.array([0.1, 0.1, 0.05])
+"""Matches that move the robot to places this far apart [m, m, rad] contradict each other."""
+TRIES = 400
+"""First choices that are tried at most."""
 NONE, DOUBTFUL, NEAR = -1, -2, -3
 """No wall; one of several; a wall is near but does not fit well."""
 
@@ -70,21 +76,26 @@ def match(
     joint: Floats,
     walls: Candidates,
     gates: Gates,
+    lost: bool = False,
 ) -> tuple[Stamps, Floats]:
     """Return the wall (M,) of each segment, or NONE, DOUBTFUL or NEAR, and its squares (M,).
 
     `rows` (M, 8) are the measurement rows of the wall kernel, anchors left out; `reach` (M, 2) how
     far a segment reaches along its tangent, `noise` (M, 2, 2) its covariance; `pose` (3,) and the
     sensor's `calibration` (g,), 0 or 3, with W walls are known to `joint` (3+g+2W, 3+g+2W), the
-    pose in body axes. O(M²·W) and O(M·(3+2W)²) for every choice, compiled.
+    pose in body axes. A robot that is `lost` is not content with the first place that fits.
+    O(M²·W) and O(M·(3+2W)²) for every choice, compiled.
     """
     m, w = rows.shape[0], walls.lines.shape[0]
     if m == 0 or w == 0:
         return np.full(m, NONE, np.int64), np.full(m, np.inf)
-    residual = np.zeros((m, w, 2))
-    by_pose = np.zeros((m, w, 2, 3 + calibration.size))
-    by_wall = np.zeros((m, w, 2, 2))
-    open_ = np.zeros((m, w), dtype=np.bool_)
+    pairs = _Pairs(
+        np.zeros((m, w, 2)),
+        np.zeros((m, w, 2, 3 + calibration.size)),
+        np.zeros((m, w, 2, 2)),
+        np.zeros((m, w), dtype=np.bool_),
+        noise,
+    )
     sigma = np.sqrt(np.diag(joint)[:3])
     _pairs(
         rows,
@@ -95,12 +106,30 @@ def match(
         walls.anchors,
         walls.reach,
         gates.slack_m + 3.0 * float(np.hypot(sigma[0], sigma[1])),
-        residual,
-        by_pose,
-        by_wall,
-        open_,
+        *pairs.arrays[:4],
     )
-    return _choose(residual, by_pose, by_wall, open_, noise, joint, gates)
+    return _choose(pairs, joint, gates, lost)
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """Every segment against every wall."""
+
+    residual: Floats
+    """(M, W, 2)."""
+    by_pose: Floats
+    """(M, W, 2, 3+g)."""
+    by_wall: Floats
+    """(M, W, 2, 2)."""
+    open: npt.NDArray[np.bool_]
+    """(M, W) pairs that are possible at all."""
+    noise: Floats
+    """(M, 2, 2) of the segments."""
+
+    @property
+    def arrays(self) -> tuple[Floats, Floats, Floats, npt.NDArray[np.bool_], Floats]:
+        """Return all of them, as compiled code takes them."""
+        return self.residual, self.by_pose, self.by_wall, self.open, self.noise
 
 
 def possible(
@@ -189,53 +218,64 @@ def _possible(
                 found[k] = d < single
 
 
-def _choose(
-    residual: Floats,
-    by_pose: Floats,
-    by_wall: Floats,
-    open_: npt.NDArray[np.bool_],
-    noise: Floats,
-    joint: Floats,
-    gates: Gates,
-) -> tuple[Stamps, Floats]:
-    """Try the first choices that there are, and return the best match of all."""
-    m = residual.shape[0]
-    squares = np.full(open_.shape, np.inf)
-    _squares(residual, by_pose, by_wall, open_, noise, joint, squares)
+def _choose(pairs: _Pairs, joint: Floats, gates: Gates, lost: bool) -> tuple[Stamps, Floats]:
+    """Return the match that explains most segments, or none where another does as well."""
+    m = pairs.residual.shape[0]
+    squares = np.full(pairs.open.shape, np.inf)
+    _squares(*pairs.arrays, joint, squares)
+    results: dict[tuple[int, ...], tuple[float, Floats, Floats]] = {}
     inside = squares < gates.single
-    clear = inside.any(axis=1) & (inside.sum(axis=1) == 1)
-    starts = [(-1, -1)]
-    if inside.any() and not clear.any():
-        # The segment with the fewest choices, by all of them.
-        several = np.where(inside.any(axis=1), inside.sum(axis=1), open_.shape[1] + 1)
-        first = int(np.argmin(several))
-        starts = [(first, int(k)) for k in np.flatnonzero(inside[first])]
-    results = []
-    for first, k in starts:
+    for seeds in _seeds(inside, lost):
         chosen, total = np.full(m, NONE, np.int64), np.full(m, np.inf)
+        shift = np.zeros(3)
         score = _follow(
-            residual,
-            by_pose,
-            by_wall,
-            open_,
-            noise,
+            *pairs.arrays,
             joint,
             gates.single,
             gates.near,
             gates.joint,
             MARGIN,
-            first,
-            k,
+            seeds,
             chosen,
             total,
+            shift,
         )
-        results.append((-int((chosen >= 0).sum()), score, chosen, total))
-    results.sort(key=lambda r: (r[0], r[1]))
-    as_many = len(results) > 1 and results[1][0] == results[0][0]
-    if as_many and results[1][1] - results[0][1] < MARGIN:
-        best = results[0][2]
-        return np.where(best >= 0, DOUBTFUL, best), results[0][3]
-    return results[0][2], results[0][3]
+        results.setdefault(tuple(chosen.tolist()), (score, total, shift))
+    # Most segments explained first, then the likeliest.
+    order = sorted(results, key=lambda c: (-sum(k >= 0 for k in c), results[c][0]))
+    best, (score, total, shift) = np.array(order[0], dtype=np.int64), results[order[0]]
+    found = int((best >= 0).sum())
+    doubtful = lost and (found < SURE or found < SHARE * m)
+    for other in order[1:]:
+        if sum(k >= 0 for k in other) < found:
+            break
+        rival, _, there = results[other]
+        apart = np.abs(there - shift) > ELSEWHERE
+        doubtful |= bool(apart.any()) and rival - score < MARGIN
+    return (np.where(best >= 0, DOUBTFUL, best), total) if doubtful else (best, total)
+
+
+def _seeds(inside: npt.NDArray[np.bool_], lost: bool) -> list[Stamps]:
+    """Return what to begin with: pairs (S, 2) of segment and wall, S up to 2.
+
+    Where some segment leaves no doubt, with none. Else with all walls of the segment that has the
+    fewest; and for a robot that is lost, with those of every other segment besides.
+    """
+    count = inside.sum(axis=1)
+    nothing = np.zeros((0, 2), np.int64)
+    if not inside.any() or ((count == 1).any() and not lost):
+        return [nothing]
+    order = [int(i) for i in np.argsort(count, kind="stable") if count[i]]
+    first = order[0]
+    seeds = [np.array([[first, k]]) for k in np.flatnonzero(inside[first])]
+    if lost:
+        seeds = [
+            np.concatenate([seed, [[i, k]]])
+            for seed in seeds
+            for i in order[1:4]
+            for k in np.flatnonzero(inside[i])
+        ] or seeds
+    return seeds[:TRIES]
 
 
 @compiled
@@ -334,30 +374,33 @@ def _follow(
     near: float,
     joint: Floats,
     margin: float,
-    first: int,
-    first_wall: int,
+    seeds: Stamps,
     chosen: Stamps,
     squares: Floats,
+    shift: Floats,
 ) -> float:
-    """Match segment after segment, beginning with a given pair (or none: -1).
+    """Match segment after segment, beginning with the pairs `seeds` (S, 2).
 
-    Fills `chosen` and `squares`; returns the normalised square of the joint innovation.
+    Fills `chosen`, `squares` and the pose's `shift` (3,); returns -2 log of
+    the joint likelihood, but for a constant.
     """
     m, w = open_.shape
     g, n = by_pose.shape[3], prior.shape[0]
     p, moved = prior.copy(), np.zeros(n)
     s, v, r = np.empty((2, 2)), np.empty((2, n)), np.empty(2)
     best_v, best_s, best_r = np.empty((2, n)), np.empty((2, 2)), np.empty(2)
-    total, count = 0.0, 0
+    total, score, count = 0.0, 0.0, 0
     done = np.zeros(m, np.bool_)
     while True:
-        pick, pick_wall, pick_square, pick_rank = -1, -1, np.inf, np.inf
+        pick, pick_wall, pick_square, pick_rank, pick_cost = -1, -1, np.inf, np.inf, 0.0
         for i in range(m):
-            if done[i] or (count == 0 and first >= 0 and i != first):
+            given = count < seeds.shape[0]
+            if done[i] or (given and i != seeds[count, 0]):
                 continue
-            low, low_wall, second, inside = np.inf, -1, np.inf, 0
+            least, low, low_wall, second, inside = np.inf, np.inf, -1, np.inf, 0
+            square = np.inf
             for k in range(w):
-                if not open_[i, k] or (count == 0 and first >= 0 and k != first_wall):
+                if not open_[i, k] or (given and k != seeds[count, 1]):
                     continue
                 at = g + 2 * k
                 for a in range(2):
@@ -366,30 +409,38 @@ def _follow(
                     for q in range(g):
                         r[a] += by_pose[i, k, a, q] * moved[q]
                 d = _square(r, by_pose[i, k], by_wall[i, k], noise[i], p, at, s, v)
-                inside += d < single
-                if d < low:
-                    low, low_wall, second = d, k, low
-                elif d < second:
-                    second = d
-            squares[i] = low
-            chosen[i] = NEAR if low < near else NONE
-            if low >= single:
+                least = min(least, d)
+                if d >= single:
+                    continue
+                inside += 1
+                # The likelihood: a vague prediction fits everything, and says little by that.
+                cost = d + np.log(s[0, 0] * s[1, 1] - s[0, 1] * s[1, 0])
+                if cost < low:
+                    low, low_wall, square, second = cost, k, d, low
+                elif cost < second:
+                    second = cost
+            squares[i] = least
+            chosen[i] = NEAR if least < near else NONE
+            if inside == 0:
                 continue
             if inside > 1 and second - low < margin:
                 chosen[i] = DOUBTFUL
                 continue
             # Those without a second candidate first, among them the likeliest.
-            rank = low if inside == 1 else low + 1e3
+            rank = square if inside == 1 else square + 1e3
             if rank < pick_rank:
-                pick, pick_wall, pick_square, pick_rank = i, low_wall, low, rank
+                pick, pick_wall, pick_square, pick_rank = i, low_wall, square, rank
+                pick_cost = low
         if pick < 0:
-            return total
+            shift[:] = moved[:3]
+            return score
         done[pick] = True
         chosen[pick] = NEAR
         if total + pick_square >= joint[min(count, joint.size - 1)]:
             continue
         chosen[pick] = pick_wall
         total += pick_square
+        score += pick_cost
         count += 1
         at = g + 2 * pick_wall
         for a in range(2):

@@ -50,6 +50,9 @@ class Window:
         # Slips of the wheels in the interval that ends at each keyframe, and what is known of them.
         self.slips = GrowingArray((driven,))
         self.slip_sigmas = GrowingArray((driven,))
+        # What may have moved the robot besides its wheels in that interval: sigmas [m, m, rad].
+        self.jolts = GrowingArray((3,))
+        self.jolted = -1
         self.slipping = np.zeros(driven)
         self.slipped = -1
         # Stamps, slips and sigmas of the intervals with slip that have left the window.
@@ -109,6 +112,7 @@ class Window:
         self._bounds.append(self._pieces)
         self.slips.append(self.slipping)
         self.slip_sigmas.append(np.where(self.slipping == 0.0, 0.0, GUESSED))
+        self.jolts.append(0.0)
         if self.slipping.any():
             self.slipped = self.newest
         self.carry.append(0.0)
@@ -127,6 +131,11 @@ class Window:
     def _wheel_table(self, begin: int, calibration: Floats) -> FactorTable:
         """Return the wheels' factors from keyframe `begin` on, as uncertain as their slips."""
         table = self.problem(begin, self.newest + 1, ()).wheel_table(calibration)
+        if self.jolted > begin:
+            jolts = self.jolts.view[begin - self.base + 1 :]
+            k = np.flatnonzero(jolts.any(axis=1))
+            spread = jolts[k][:, :, None] * np.eye(3)
+            table.sqrt_information[k] = _spread(table.sqrt_information[k], spread)
         sigma = self.slip_sigmas.view[begin - self.base + 1 :]
         k = np.flatnonzero(sigma.any(axis=1)) if self.slipped > begin else np.zeros(0, np.int64)
         if not k.size:
@@ -136,12 +145,22 @@ class Window:
             self.slips.view[begin - self.base + 1 :],
         )
         _, effect = slip_effect(raw, self.layout.robot, self.layout.values(calibration), slips)
-        root = table.sqrt_information[k]
-        covariance = np.linalg.inv(root.swapaxes(1, 2) @ root)
         spread = effect[k] * sigma[k][:, None, :]
-        wider = np.linalg.cholesky(covariance + spread @ spread.swapaxes(1, 2))
-        table.sqrt_information[k] = np.linalg.inv(wider)
+        table.sqrt_information[k] = _spread(table.sqrt_information[k], spread)
         return table
+
+    def jolt(self, begin: int, sigma: Floats, calibration: Floats) -> None:
+        """Allow for `sigma` (3,) [m, m, rad] of motion in each interval since keyframe `begin`.
+
+        That the wheels know nothing of: the robot was lifted, pushed, or its wheels hung in the
+        air. Their factors are believed anew.
+        """
+        self.jolts.view[begin - self.base + 1 :] = sigma
+        self.jolted = self.newest
+        rows = self.wheels.rows(begin, self.newest + 1)
+        table = self._wheel_table(begin, calibration)
+        self.wheels.sqrt_information.view[rows] = table.sqrt_information
+        self.wheels.weight.view[rows] = 1.0
 
     def set_slips(self, begin: int, slips: Floats, sigmas: Floats, calibration: Floats) -> None:
         """Take (N, D) slips and their sigmas for the N intervals from keyframe `begin` on.
@@ -320,6 +339,7 @@ class Window:
             self.states,
             self.slips,
             self.slip_sigmas,
+            self.jolts,
             self._bounds,
             self.carry,
             self.linear_states,
@@ -335,3 +355,10 @@ class Window:
             if table.kind not in HIDDEN:
                 weights[table.sensor] = gone
         return weights
+
+
+def _spread(root: Floats, spread: Floats) -> Floats:
+    """Return square-root information (K, 3, 3) of what has an error spread (K, 3, m) more."""
+    covariance = np.linalg.inv(root.swapaxes(1, 2) @ root)
+    wider = np.linalg.cholesky(covariance + spread @ spread.swapaxes(1, 2))
+    return np.asarray(np.linalg.inv(wider))
