@@ -65,6 +65,7 @@ def compare(
     progress: Progress | None = None,
     estimators: Mapping[str, Estimator] | None = None,
     ekf_file: str | None = None,
+    check: Callable[[Drive], None] | None = None,
 ) -> Comparison:
     """Return the outcome of every method on every drive named.
 
@@ -74,9 +75,10 @@ def compare(
     description; `encoder_selection` leaves one encoder a side to all methods (see
     `fgloc.core.encoder_selection`); `topics_file` says which topic of ROS bags is what; `progress`
     is told after each drive and method; `estimators` are taken by method id in place of those with
-    default settings; `ekf_file` is where one of them was configured, for the record. Raises
-    FglocError for a drive that cannot be read or whose encoders cannot be selected, a method that
-    does not exist, or if no method can run on any drive.
+    default settings; `ekf_file` is where one of them was configured, for the record; `check` is
+    called with each drive before the first method runs, to refuse it. Raises FglocError for a
+    drive that cannot be read or whose encoders cannot be selected, a method that does not exist,
+    or if no method can run on any drive.
     """
     ids = parse(methods)
     names = expand(list(drives), data)
@@ -85,6 +87,8 @@ def compare(
     for name in names:
         drive = load_drive(name, data, topics)
         loaded.append(_prepared(drive, robot_file, encoder_selection, fixes, seed))
+        if check is not None:
+            check(loaded[-1])
         if progress is not None:
             progress(Step(0, len(names) * len(ids), name, "", "read"))
     settings = Settings(

@@ -19,8 +19,8 @@ class Method:
     """Id on the command line and in JSON."""
     summary: str
     """What it does, in a few words for a table or help text."""
-    build: Callable[[Integrator], Estimator] | None
-    """Make the estimator; None while the method is not part of this version."""
+    build: Callable[[Integrator], Estimator]
+    """Make the estimator."""
 
 
 def _model1(integrator: Integrator) -> Estimator:
@@ -53,6 +53,12 @@ def _rl_ekf(integrator: Integrator) -> Estimator:
     return RlEkf()
 
 
+def _ekf_slam(integrator: Integrator) -> Estimator:
+    from fgloc.filters.ekf_slam import EkfSlam
+
+    return EkfSlam()
+
+
 def _batch(integrator: Integrator) -> Estimator:
     # Imported here because it brings GTSAM, which Models 1 and 2 do without.
     from fgloc.smoothing.batch import BatchSmoother
@@ -72,7 +78,7 @@ METHODS: tuple[Method, ...] = (
     Method("model3", "unscented filter of pose and effective track", _model3),
     Method("pose-ekf", "extended Kalman filter of the pose", _pose_ekf),
     Method("rl-ekf", "filter like robot_localization's, with its ekf.yaml", _rl_ekf),
-    Method("ekf-slam", "extended Kalman filter of pose and landmarks", None),
+    Method("ekf-slam", "extended Kalman filter of pose and landmarks", _ekf_slam),
     Method("batch", "factor graph over the whole drive, with calibration", _batch),
     Method("online", "factor graph over a sliding window, as it would run live", _online),
 )
@@ -80,20 +86,16 @@ METHODS: tuple[Method, ...] = (
 
 def available() -> tuple[str, ...]:
     """Return the ids of the methods that this version can run."""
-    return tuple(m.id for m in METHODS if m.build is not None)
+    return tuple(m.id for m in METHODS)
 
 
 def create(method: str, *, integrator: Integrator = "exact") -> Estimator:
     """Return a new estimator; `integrator` concerns Model 1 only.
 
-    Raises FglocError for an id that is unknown or not available yet.
+    Raises FglocError for an id that is unknown.
     """
     for known in METHODS:
         if known.id == method:
-            if known.build is None:
-                raise FglocError(
-                    f"method {method} is not available yet; choose from {', '.join(available())}"
-                )
             return known.build(integrator)
     raise FglocError(f"unknown method {method!r}; choose from {', '.join(available())}")
 

@@ -12,6 +12,9 @@ MODULES: dict[str, str] = {
     "seed-a-simulation": "fgloc.experiments.seed_a.simulation",
     "seed-a-vehicle": "fgloc.experiments.seed_a.vehicle",
     "seed-d-nominal": "fgloc.experiments.seed_d.nominal",
+    "seed-b": "fgloc.experiments.rooms.seed_b",
+    "seed-c": "fgloc.experiments.rooms.seed_c",
+    "mrclam": "fgloc.experiments.mrclam",
 }
 """Modules with a constant EXPERIMENT, by the experiment's id, in the order of the list."""
 

@@ -66,3 +66,11 @@ def trajectory_file(text: str) -> Path:
     if path.suffix not in (".tum", ".kitti", ".g2o", ".npz"):
         raise argparse.ArgumentTypeError(f"{text!r} must end in .tum, .kitti, .g2o or .npz")
     return path
+
+
+def recording_file(text: str) -> Path:
+    """Return the path if it ends in .rrd, by which the rerun viewer knows its recordings."""
+    path = Path(text)
+    if path.suffix != ".rrd":
+        raise argparse.ArgumentTypeError(f"{text!r} must end in .rrd")
+    return path

@@ -33,6 +33,17 @@ def import_open3d() -> Any:
         raise _unusable(error) from error
 
 
+def import_rerun() -> Any:
+    """Return the module rerun; raises FglocError with what to do where it is not installed."""
+    try:
+        return importlib.import_module("rerun")
+    except (ImportError, OSError) as error:
+        raise FglocError(
+            f"the viewer cannot be imported ({error}); `pip install 'fgloc[viz]'` installs it, or "
+            "use --html FILE, a page for any browser that needs nothing"
+        ) from error
+
+
 def _load_libusb() -> None:
     """Load libusb so that libraries loaded later find it; ImportError or OSError if it cannot be.
 

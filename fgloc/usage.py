@@ -6,9 +6,20 @@ import argparse
 from pathlib import Path
 
 from fgloc import __version__
-from fgloc.argument_types import count, fixes, json_file, lag, positive, seed, trajectory_file
+from fgloc.argument_types import count, lag, positive, recording_file
+from fgloc.usage_options import (
+    Commands,
+    command,
+    common,
+    fix_options,
+    map_options,
+    robot_option,
+    save_option,
+    selection_option,
+    topics_option,
+)
 
-METHODS = "model1,model2,model3,pose-ekf,rl-ekf,batch,online"
+METHODS = "model1,model2,model3,pose-ekf,rl-ekf,ekf-slam,batch,online"
 """Methods compared unless others are asked for: all available ones (a test holds this to it)."""
 INTEGRATORS = ("exact", "midpoint", "euler")
 """Steps of Model 1; `fgloc.core.geometry.INTEGRATORS`, which cannot be imported without numpy."""
@@ -34,34 +45,34 @@ def build_parser() -> argparse.ArgumentParser:
     _simulate(commands)
     _datasets(commands)
     _experiments(commands)
+    _view(commands)
     _doctor(commands)
     return parser
 
 
-Commands = argparse._SubParsersAction  # the type that argparse gives and does not export
-
-
 def _smooth(commands: Commands[argparse.ArgumentParser]) -> None:
     """Add `fgloc smooth`."""
-    parser = _command(
+    parser = command(
         commands,
         "smooth",
         "estimate the trajectory of one drive, and calibrate",
         "fgloc smooth run.log --save track.tum",
+        "fgloc smooth csail:0 --map csail-map",
         "fgloc smooth 'optiodom:diff/circular/250620202251/01' --fixes 10:0.002 --out runs",
     )
     parser.add_argument("drive", metavar="DRIVE", help=DRIVE)
-    _fix_options(parser)
-    _save_option(parser)
-    _robot_option(parser)
-    _selection_option(parser)
-    _topics_option(parser)
-    _common(parser, "data", "json", "out")
+    fix_options(parser)
+    save_option(parser)
+    map_options(parser)
+    robot_option(parser)
+    selection_option(parser)
+    topics_option(parser)
+    common(parser, "data", "json", "out")
 
 
 def _localise(commands: Commands[argparse.ArgumentParser]) -> None:
     """Add `fgloc localise`."""
-    parser = _command(
+    parser = command(
         commands,
         "localise",
         "run the online engine on one drive, as it would have run live",
@@ -103,17 +114,18 @@ def _localise(commands: Commands[argparse.ArgumentParser]) -> None:
     parser.add_argument(
         "--resume", action="store_true", help="go on from the checkpoint, where there is one"
     )
-    _fix_options(parser)
-    _save_option(parser)
-    _robot_option(parser)
-    _selection_option(parser)
-    _topics_option(parser)
-    _common(parser, "data", "json", "out")
+    fix_options(parser)
+    save_option(parser)
+    map_options(parser)
+    robot_option(parser)
+    selection_option(parser)
+    topics_option(parser)
+    common(parser, "data", "json", "out")
 
 
 def _compare(commands: Commands[argparse.ArgumentParser]) -> None:
     """Add `fgloc compare`."""
-    parser = _command(
+    parser = command(
         commands,
         "compare",
         "run several methods on the same drives and score them",
@@ -138,16 +150,17 @@ def _compare(commands: Commands[argparse.ArgumentParser]) -> None:
         help="configuration of rl-ekf: an ekf.yaml of robot_localization (default: made from the "
         "drive's sensors)",
     )
-    _fix_options(parser)
-    _robot_option(parser)
-    _selection_option(parser)
-    _topics_option(parser)
-    _common(parser, "data", "json", "out")
+    fix_options(parser)
+    robot_option(parser)
+    selection_option(parser)
+    topics_option(parser)
+    common(parser, "data", "json", "out")
+    parser.set_defaults(map=None, map_resolution=None)
 
 
 def _simulate(commands: Commands[argparse.ArgumentParser]) -> None:
     """Add `fgloc simulate`."""
-    parser = _command(
+    parser = command(
         commands,
         "simulate",
         "make a drive with known truth and write it",
@@ -166,24 +179,24 @@ def _simulate(commands: Commands[argparse.ArgumentParser]) -> None:
         default="npz",
         help="npz or csv of our own, or the Jaguar's text log (default: npz)",
     )
-    _common(parser, "json", "out")
+    common(parser, "json", "out")
 
 
 def _datasets(commands: Commands[argparse.ArgumentParser]) -> None:
     """Add `fgloc datasets` and its own commands."""
-    parser = _command(commands, "datasets", "list, describe, fetch or convert recorded drives")
+    parser = command(commands, "datasets", "list, describe, fetch or convert recorded drives")
     inner = parser.add_subparsers(dest="datasets_command", metavar="WHAT", required=True)
-    listing = _command(inner, "list", "what is known, and what is on this machine")
-    _common(listing, "data", "json")
-    info = _command(inner, "info", "what a drive holds")
+    listing = command(inner, "list", "what is known, and what is on this machine")
+    common(listing, "data", "json")
+    info = command(inner, "info", "what a drive holds")
     info.add_argument("drive", metavar="DRIVE", help=DRIVE)
-    _topics_option(info)
-    _common(info, "data", "json")
-    fetch = _command(inner, "fetch", "download a dataset from its public origin, checked")
+    topics_option(info)
+    common(info, "data", "json")
+    fetch = command(inner, "fetch", "download a dataset from its public origin, checked")
     fetch.add_argument("name", metavar="NAME", help="a dataset's name, see `fgloc datasets list`")
     fetch.add_argument("--to", metavar="DIR", type=Path, help="folder (default: the user's cache)")
-    _common(fetch)
-    convert = _command(
+    common(fetch)
+    convert = command(
         inner,
         "convert",
         "write a drive in a format of our own",
@@ -191,13 +204,13 @@ def _datasets(commands: Commands[argparse.ArgumentParser]) -> None:
     )
     convert.add_argument("drive", metavar="DRIVE", help=DRIVE)
     convert.add_argument("file", metavar="FILE", type=Path, help="target; ends in .npz or .csv")
-    _topics_option(convert)
-    _common(convert, "data")
+    topics_option(convert)
+    common(convert, "data")
 
 
 def _experiments(commands: Commands[argparse.ArgumentParser]) -> None:
     """Add `fgloc experiments` and its own commands."""
-    parser = _command(
+    parser = command(
         commands,
         "experiments",
         "list or run the experiments that put published numbers beside this program's",
@@ -205,9 +218,9 @@ def _experiments(commands: Commands[argparse.ArgumentParser]) -> None:
         "fgloc experiments run seed-a-simulation --out runs",
     )
     inner = parser.add_subparsers(dest="experiments_command", metavar="WHAT", required=True)
-    listing = _command(inner, "list", "what there is, and what can run on this machine")
-    _common(listing, "data", "json")
-    run = _command(
+    listing = command(inner, "list", "what there is, and what can run on this machine")
+    common(listing, "data", "json")
+    run = command(
         inner,
         "run",
         "run one experiment and print its tables",
@@ -224,98 +237,43 @@ def _experiments(commands: Commands[argparse.ArgumentParser]) -> None:
         default=2,
         help="worker processes; results do not depend on it (default: 2)",
     )
-    _common(run, "data", "json", "out")
+    common(run, "data", "json", "out")
+
+
+def _view(commands: Commands[argparse.ArgumentParser]) -> None:
+    """Add `fgloc view`."""
+    parser = command(
+        commands,
+        "view",
+        "show an estimate over time: scans, walls, path, truth",
+        "fgloc view csail:0",
+        "fgloc view sim:demo --method online --html demo.html",
+    )
+    parser.add_argument("drive", metavar="DRIVE", help=DRIVE)
+    parser.add_argument(
+        "--method", metavar="ID", default="batch", help="method to show (default: batch)"
+    )
+    parser.add_argument(
+        "--save",
+        metavar="FILE",
+        type=recording_file,
+        help="write a recording (.rrd) for the rerun viewer instead of opening its window",
+    )
+    parser.add_argument(
+        "--html",
+        metavar="FILE",
+        type=Path,
+        help="write a page with a time slider for any browser; needs nothing installed",
+    )
+    fix_options(parser)
+    robot_option(parser)
+    selection_option(parser)
+    topics_option(parser)
+    common(parser, "data")
+    parser.set_defaults(map=None, map_resolution=None)
 
 
 def _doctor(commands: Commands[argparse.ArgumentParser]) -> None:
     """Add `fgloc doctor`."""
-    parser = _command(commands, "doctor", "check that everything needed is installed and works")
-    _common(parser, "data", "json")
-
-
-def _command(
-    commands: Commands[argparse.ArgumentParser], name: str, text: str, *examples: str
-) -> argparse.ArgumentParser:
-    """Add a command described by `text` and return its parser; its help ends with `examples`."""
-    parser = commands.add_parser(
-        name,
-        help=text,
-        description=text[0].upper() + text[1:] + ".",
-        epilog="\n  ".join(("examples:", *examples)) if examples else None,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
-    # Suppressed, else the default here would undo a --debug given before the command.
-    parser.add_argument(
-        "--debug",
-        action="store_true",
-        default=argparse.SUPPRESS,
-        help="show where an error came from",
-    )
-    return parser
-
-
-def _common(parser: argparse.ArgumentParser, *names: str) -> None:
-    """Add those of --data, --json and --out that are named; others are None in the namespace."""
-    helps = {
-        "data": ("DIR", "look for recorded drives here first (then $FGLOC_DATA, the user's cache)"),
-        "json": ("FILE", "write the results as JSON"),
-        "out": ("DIR", "write figures, trajectories and settings into a run folder in DIR"),
-    }
-    for name in names:
-        metavar, text = helps[name]
-        kind = json_file if name == "json" else Path
-        parser.add_argument(f"--{name}", metavar=metavar, type=kind, help=text)
-    parser.set_defaults(**{name: None for name in helps if name not in names})
-
-
-def _save_option(parser: argparse.ArgumentParser) -> None:
-    """Add --save."""
-    parser.add_argument(
-        "--save",
-        metavar="FILE",
-        type=trajectory_file,
-        help="write the trajectory; .tum, .kitti, .g2o or .npz",
-    )
-
-
-def _robot_option(parser: argparse.ArgumentParser) -> None:
-    """Add --robot."""
-    parser.add_argument(
-        "--robot",
-        metavar="FILE",
-        type=Path,
-        help="TOML file with values, priors and noise of the robot",
-    )
-
-
-def _selection_option(parser: argparse.ArgumentParser) -> None:
-    """Add --encoder-selection."""
-    parser.add_argument(
-        "--encoder-selection",
-        action="store_true",
-        help="of the encoders on a side believe one: the slowest, or the fastest when braking",
-    )
-
-
-def _topics_option(parser: argparse.ArgumentParser) -> None:
-    """Add --topics."""
-    parser.add_argument(
-        "--topics",
-        metavar="FILE",
-        type=Path,
-        help="TOML file that says which topic of a ROS bag is what (default: guessed)",
-    )
-
-
-def _fix_options(parser: argparse.ArgumentParser) -> None:
-    """Add --fixes and --seed."""
-    parser.add_argument(
-        "--fixes",
-        metavar="EVERY_S[:SIGMA_M]",
-        type=fixes,
-        help="offer the recorded truth as sparse noisy position fixes, e.g. 10:0.002",
-    )
-    parser.add_argument(
-        "--seed", metavar="N", type=seed, default=0, help="seed of the fixes' noise (default: 0)"
-    )
+    parser = command(commands, "doctor", "check that everything needed is installed and works")
+    common(parser, "data", "json")

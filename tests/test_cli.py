@@ -55,7 +55,7 @@ def test_help_is_quick_and_imports_nothing_heavy() -> None:
     done = fgloc("--help", code=code)
     assert done.returncode == 0
     assert "HEAVY set()" in done.stdout
-    for command in ("smooth", "compare", "simulate", "datasets", "doctor"):
+    for command in ("smooth", "compare", "simulate", "datasets", "view", "doctor"):
         assert command in done.stdout
     # Best of five, so that a busy machine does not decide.
     times = []

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from fgloc.atomic import write_text
 from fgloc.commands.places import check_file, check_folder
+from fgloc.core.drive import Drive
 from fgloc.errors import FglocError
 from fgloc.estimator import Estimator
 from fgloc.experiments.compare import Step, compare
@@ -17,6 +18,7 @@ from fgloc.experiments.methods import create, resolved
 from fgloc.experiments.methods import parse as parse_methods
 from fgloc.filters.rl_ekf import RlEkf
 from fgloc.io.ekf_yaml import load_ekf
+from fgloc.report.map_files import MapFiles, write_map
 from fgloc.report.outcomes import Comparison
 from fgloc.report.progress import ProgressLines, telling_of_compilation
 from fgloc.report.results_json import comparison_json, dumps
@@ -67,16 +69,18 @@ def compare_with_progress(
     integrator: Any = "exact",
     estimators: Mapping[str, Estimator] | None = None,
     ekf_file: str | None = None,
+    check: Callable[[Drive], None] | None = None,
 ) -> Comparison:
     """Return the comparison that the options common to `compare`, `smooth` and `localise` ask for.
 
     `estimators` are taken by method id in place of those with default settings; `ekf_file` is where
-    one of them was configured, for the record.
+    one of them was configured, for the record; `check` may refuse a drive before the work begins.
 
-    Raises FglocError before anything is read if --json or --out cannot be written.
+    Raises FglocError before anything is read if --json, --out or --map cannot be written.
     """
     check_file(args.json)
     check_folder(args.out)
+    check_folder(map_folder(args))
     fixes = None if args.fixes is None else parse_fixes(args.fixes)
     with ProgressLines(title) as progress, telling_of_compilation(progress.say):
 
@@ -99,6 +103,7 @@ def compare_with_progress(
             progress=tell,
             estimators=estimators,
             ekf_file=ekf_file,
+            check=check,
         )
 
 
@@ -108,7 +113,7 @@ def report(
     arguments: dict[str, Any],
     estimators: Mapping[str, Estimator] | None = None,
 ) -> None:
-    """Write --json and --out, print the tables and where files are.
+    """Write --json, --out and --map, print the tables and where files are.
 
     The tables are printed even if a file cannot be written: the work is done by then.
     """
@@ -119,20 +124,40 @@ def report(
             written.append(f"All numbers: {args.json}")
         if args.out is not None:
             with ProgressLines("drawing") as progress:
-                folder = write_run(
+                folder, maps = write_run(
                     comparison,
                     args.out,
                     args.command,
                     {**arguments, **_common(args), "settings": _settings(comparison, estimators)},
                     progress.step,
+                    args.map_resolution if args.map is True else None,
                 )
             written.append(f"Report, trajectories and figures: {folder} ({_figures(folder)})")
+            written += [line for made in maps for line in _of_map(made)]
+        place = map_folder(args)
+        if place is not None:
+            outcome = comparison.drives[0]
+            result = next(iter(outcome.methods.values())).result
+            written += _of_map(write_map(result, outcome.drive, place, args.map_resolution))
     finally:
         print_comparison(comparison)
     if written:
         print()
     for line in written:
         print(line)
+
+
+def map_folder(args: argparse.Namespace) -> Path | None:
+    """Return the folder that --map writes into; None without the option, or in the run folder."""
+    if args.map is True:
+        return None if args.out is not None else Path("map")
+    place: Path | None = args.map
+    return place
+
+
+def _of_map(made: MapFiles) -> list[str]:
+    """Return what was written of a map, and what to know of it, a line each."""
+    return [f"Map: {made.folder} ({', '.join(made.names)})", *made.notes]
 
 
 def _common(args: argparse.Namespace) -> dict[str, Any]:
@@ -144,6 +169,8 @@ def _common(args: argparse.Namespace) -> dict[str, Any]:
         "topics": None if args.topics is None else str(args.topics),
         "encoder_selection": args.encoder_selection,
         "data": None if args.data is None else str(args.data),
+        "map": None if args.map is None else args.map is True or str(args.map),
+        "map_resolution": args.map_resolution,
     }
 
 

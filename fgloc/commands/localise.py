@@ -15,15 +15,17 @@ from fgloc.estimator import Live, Spread
 from fgloc.online.online import OnlineSmoother
 from fgloc.online.session import ReplayOptions
 from fgloc.online.settings import OnlineSettings
+from fgloc.report.map_files import check_mappable
 
 METHOD = "online"
 
 
 def run(args: argparse.Namespace) -> int:
-    """Localise, write --save, --json and --out, print the tables and the times; return 0.
+    """Localise, write --save, --json, --out and --map, print the tables and the times; return 0.
 
     Raises FglocError for a pattern that stands for several drives, for a checkpoint that does not
-    belong to the drive, and for --resume without --checkpoint.
+    belong to the drive, for --resume without --checkpoint, and for --map where no sensor sees the
+    surroundings.
     """
     check_file(args.save)
     check_folder(args.checkpoint)
@@ -41,7 +43,12 @@ def run(args: argparse.Namespace) -> int:
     options = ReplayOptions(args.realtime, args.checkpoint, args.every, args.resume, _say)
     estimators = {METHOD: OnlineSmoother(settings, options)}
     comparison = compare_with_progress(
-        args, drives, METHOD, title="localising", estimators=estimators
+        args,
+        drives,
+        METHOD,
+        title="localising",
+        estimators=estimators,
+        check=None if args.map is None else check_mappable,
     )
     result = comparison.drives[0].methods[METHOD].result
     arguments = {

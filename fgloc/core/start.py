@@ -5,6 +5,8 @@ truth is known: at or between two recorded poses not more than 0.5 s apart. Whee
 that stamp are left out (`trim_to_truth`), because nothing could be said of their start. Wheel
 stamps hardly ever coincide with the truth's, so the start is interpolated on SE(2)
 (`start_pose`) and mapped from the reference's frame to the base through the nominal mounting.
+Where most recorded poses are further apart than that, so that a robot turns between them as it
+likes, the clock starts at the first of them instead, and the increment around it is cut there.
 """
 
 from __future__ import annotations
@@ -35,6 +37,11 @@ def trim_to_truth(drive: Drive) -> Drive:
         return drive
     stamps = drive.wheels.stamps_ns
     first = _first_known(stamps, drive.truth.trajectory.stamps_ns)
+    known = drive.truth.trajectory.stamps_ns
+    if known.size > 1 and float(np.median(np.diff(known))) > MAX_GAP_S * 1e9:
+        inside = known[(known >= stamps[0]) & (known < stamps[-1])]
+        if inside.size:
+            return drive if inside[0] == stamps[0] else _cut(drive, int(inside[0]))
     if first < 0 or first >= stamps.size - 1:
         raise FglocError(
             f"{drive.name}: the recorded truth does not overlap the wheel stamps in time; "
@@ -76,6 +83,17 @@ def _first_known(stamps: Stamps, truth: Stamps) -> int:
     known = hit | (bracketed & (gap_ns <= MAX_GAP_S * 1e9))
     chosen = np.flatnonzero(known if known[:-1].any() else bracketed)
     return int(chosen[0]) if chosen.size else -1
+
+
+def _cut(drive: Drive, stamp: int) -> Drive:
+    """Return the drive with its wheels beginning at a stamp inside an increment."""
+    stamps = drive.wheels.stamps_ns
+    at = int(np.searchsorted(stamps, stamp, side="right")) - 1
+    wheels = _from_stamp(drive.wheels, at)
+    angles, left = wheels.angles.copy(), float(stamps[at + 1] - stamp)
+    angles[0] *= left / float(stamps[at + 1] - stamps[at])
+    begin = np.concatenate([[stamp], wheels.stamps_ns[1:]])
+    return replace(drive, wheels=replace(wheels, stamps_ns=begin, angles=angles))
 
 
 def _from_stamp(wheels: WheelIncrements, first: int) -> WheelIncrements:

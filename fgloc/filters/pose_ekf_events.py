@@ -9,11 +9,10 @@ import numpy.typing as npt
 
 from fgloc.core.drive import Drive
 from fgloc.core.geometry import chain
-from fgloc.core.kinematics import prior_correlation
 from fgloc.core.measurements import Floats, Stamps, YawRate
 from fgloc.core.preintegration import preintegrate, rounding_sigma, split_at
-from fgloc.core.robot import Robot
 from fgloc.filters.causal_gyro import turned_so_far
+from fgloc.filters.miscalibration import miscalibration
 from fgloc.filters.pose_ekf_kernel import Codes
 from fgloc.filters.pose_ekf_settings import PoseEkfSettings
 from fgloc.filters.pose_ekf_streams import Correcting, Stream, make_stream
@@ -66,7 +65,9 @@ def merge(drive: Drive, settings: PoseEkfSettings) -> Events:
         for sensor, stamps in zip(sensors, inside, strict=True)
     )
     seconds = np.diff(cuts) * 1e-9
-    covariance = moved.covariance + _miscalibration(drive.robot, moved.jacobian, seconds, settings)
+    covariance = moved.covariance + miscalibration(
+        drive.robot, moved.jacobian, seconds, settings.calibration, settings.horizon_s
+    )
     emit = np.full(cuts.size, -1, dtype=np.int64)
     emit[np.searchsorted(cuts, wheels)] = np.arange(wheels.size)
     sizes = [s.stamps_ns.size for s in streams]
@@ -100,19 +101,3 @@ def merge(drive: Drive, settings: PoseEkfSettings) -> Events:
 def _within(stamps: Stamps, wheels: Stamps) -> npt.NDArray[np.bool_]:
     """Return which stamps lie between the first and the last wheel stamp."""
     return np.asarray((stamps >= wheels[0]) & (stamps <= wheels[-1]))
-
-
-def _miscalibration(
-    robot: Robot, jacobian: Floats, seconds: Floats, settings: PoseEkfSettings
-) -> Floats:
-    """Return what wrong radii, track and the like add to the covariance of every step (M, 3, 3).
-
-    J Σ Jᵀ is right for one step, but the next is wrong the same way, so that errors and not
-    variances add up: white noise of horizon / duration times as much does so over the horizon.
-    """
-    parameters = robot.base.parameters
-    sigma = np.array([p.prior_sigma for p in parameters])
-    prior = settings.calibration**2 * prior_correlation(parameters) * np.outer(sigma, sigma)
-    longer = np.maximum(settings.horizon_s / seconds, 1.0)
-    once = np.einsum("mip,pq,mjq->mij", jacobian, prior, jacobian, optimize=True)
-    return np.asarray(longer[:, None, None] * once)

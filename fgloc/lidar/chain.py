@@ -9,8 +9,13 @@ import numpy as np
 from fgloc.core.geometry import between, compose, wrap
 from fgloc.core.measurements import Floats
 from fgloc.lidar.correlative import field, search
+from fgloc.lidar.icp import UNKNOWN
 from fgloc.lidar.matching import Match, MatchSettings, match, reference
 from fgloc.lidar.surfaces import Mask, ScanPoints, merge, thin
+
+
+NOT_KNOWN = (UNKNOWN, UNKNOWN, np.pi)
+"""Standard deviations [m, m, rad] of a displacement where scans did not match."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +33,9 @@ class ChainSettings:
     """… or turned this far [rad] since the last one that did."""
     cell: float = 0.05
     """The map keeps one point in a square of this side [m]."""
-    least_overlap: float = 0.25
+    near: float = 12.0
+    """Points up to this distance [m] count in the correlation that comes before the matching."""
+    least_overlap: float = 0.15
     """A match with a smaller share of paired points is not believed: the guess stands in."""
     matching: MatchSettings = MatchSettings()
     """How points are matched at the end."""
@@ -42,9 +49,27 @@ class Chain:
     """(N-1, 3) pose of each scan in the axes of the one before [m, m, rad]; the guess where the
     match failed."""
     covariance: Floats
-    """(N-1, 3, 3) of x, y [m] and heading [rad] in those axes."""
+    """(N-1, 3, 3) of x, y [m] and heading [rad] in those axes: of the match alone, the guess does
+    not count in it. Large along a corridor, and where the match failed."""
     matched: Mask
     """(N-1,) whether the match held."""
+
+    def fused(self, guess: Floats, sigma: Floats) -> tuple[Floats, Floats]:
+        """Return displacements (N-1, 3) and covariances (N-1, 3, 3) with the guess's information.
+
+        `guess` (N, 3) is the path that was given, `sigma` (N-1, 3) how well its displacements are
+        known [m, m, rad], or (3,) for all of them. What loop closure needs, where scans alone leave
+        a direction open.
+        """
+        steps = between(guess[:-1], guess[1:])
+        information = np.linalg.inv(self.covariance)
+        weight = np.zeros(self.covariance.shape)
+        weight[:, range(3), range(3)] = 1.0 / np.square(sigma)
+        covariance = np.linalg.inv(information + weight)
+        off = steps - self.relative
+        off[:, 2] = wrap(off[:, 2])
+        change = np.einsum("nij,njk,nk->ni", covariance, weight, off)
+        return self.relative + change, covariance
 
 
 def match_chain(
@@ -71,7 +96,7 @@ def match_chain(
         local = merge([scans[i] for i in kept], between(poses[k - 1], poses[kept]), settings.cell)
         found = _to_map(local, scans[k], steps[k - 1], spread[k - 1], settings)
         if found is None:
-            covariance[k - 1] = np.diag(spread[k - 1] ** 2)
+            covariance[k - 1] = np.diag(np.square(NOT_KNOWN))
         else:
             relative[k - 1], covariance[k - 1] = found.relative, found.covariance
             matched[k - 1] = True
@@ -87,13 +112,16 @@ def _to_map(
     local: ScanPoints, scan: ScanPoints, guess: Floats, sigma: Floats, settings: ChainSettings
 ) -> Match | None:
     """Return where a scan is in the map around it; None where it cannot be told."""
-    coarse = thin(scan, 0.15)
-    likelihood = field(local)
+    near = np.hypot(scan.points[:, 0], scan.points[:, 1]) < settings.near
+    coarse = thin(scan.select(near), 0.15)
+    # Points far off say little of where the scan is that near ones do not, and cost a wide grid.
+    around = np.hypot(*(local.points - guess[:2]).T) < settings.near + 1.0
+    likelihood = field(thin(local.select(around), 0.1))
     half = np.maximum(3.0 * sigma, (0.1, 0.1, 0.02))
     pose, score = search(likelihood, coarse, guess, half, sigma=sigma)
     if score < 0.0:
         return None
-    found = match(reference(local), scan, pose, settings.matching)
+    found = match(reference(local), scan, guess, settings.matching, pose)
     if not found.converged or found.overlap < settings.least_overlap:
         return None
     return found

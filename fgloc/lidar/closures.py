@@ -44,7 +44,7 @@ class ClosureSettings:
     """They may be this far apart [m], as far as is known, besides the drift."""
     candidates: int = 4
     """Most places that one is compared with in a round."""
-    rounds: int = 4
+    rounds: int = 6
     """Most rounds of looking, the drive being straightened between them."""
     widest: tuple[float, float] = (8.0, 0.6)
     """Widest search [m, rad] to both sides; where the drift may be more, it is not looked for."""
@@ -58,8 +58,8 @@ class ClosureSettings:
     """Largest share of points which the other map's beams passed through."""
     map_sigma: tuple[float, float, float] = (0.02, 0.02, 0.005)
     """What the maps themselves are distorted by [m, m, rad], added to a closure's covariance."""
-    step_sigma: tuple[float, float, float] = (0.01, 0.01, 0.003)
-    """Standard deviations of a displacement [m, m, rad] that the drive's own are not below."""
+    walk: tuple[float, float, float] = (0.01, 0.01, 0.003)
+    """Random walk of the drive [m, m, rad, each per √m], added to its own covariance."""
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
     """How drift grows with the way from place to place."""
     lonely: float = 1.0
@@ -129,16 +129,17 @@ class _Search:
         self, scans: list[ScanPoints], steps: Floats, covariance: Floats, settings: ClosureSettings
     ) -> None:
         self.scans, self.steps, self.settings = scans, steps, settings
-        self.covariance = covariance + np.diag(np.square(settings.step_sigma))
+        length = np.hypot(steps[:, 0], steps[:, 1])
+        walked = np.diag(np.square(settings.walk)) * length[:, None, None]
+        self.covariance = covariance + walked
         start = np.zeros(3)
         self.chained = chain(steps, start) if len(scans) else np.zeros((0, 3))
         self.poses = self.chained
-        length = np.hypot(steps[:, 0], steps[:, 1])
         self.travelled = np.concatenate([[0.0], np.cumsum(length)])
         self.nodes = places(self.chained, settings.spacing, np.inf)
         self.path = accumulate(steps, self.covariance, self.chained)
         self.maps: dict[int, _Place] = {}
-        self.tried: set[tuple[int, int]] = set()
+        self.tried: dict[tuple[int, int], Floats] = {}
         self.found: list[tuple[int, int, Floats, Floats, float, float]] = []
         self.rejected = {
             k: 0 for k in ("weak", "ambiguous", "edge", "overlap", "through", "loop", "lonely")
@@ -149,21 +150,36 @@ class _Search:
         kept = self._assemble(np.zeros(0, bool))
         for _ in range(self.settings.rounds):
             before = len(self.found)
+            settled = self._settled()
             for a, b, half in propose(
                 self.poses,
                 self.nodes,
                 self.travelled,
                 self.covariance,
                 (kept.first, kept.second),
-                self.tried,
+                settled,
                 self.settings,
             ):
-                self.tried.add((a, b))
                 self._compare(a, b, half)
             if len(self.found) == before:
                 break
             kept = self._believe()
         return kept
+
+    def _guess(self, a: int, b: int) -> Floats:
+        """Return where scan b is to scan a, as far as is known now."""
+        guess = between(self.poses[a], self.poses[b])
+        guess[2] = wrap(guess[2])
+        return np.asarray(guess)
+
+    def _settled(self) -> set[tuple[int, int]]:
+        """Return the pairs that another look would not help: found, or still where they were."""
+        settled = {(c[0], c[1]) for c in self.found}
+        for (a, b), before in self.tried.items():
+            moved = np.abs(self._guess(a, b) - before)
+            if moved[0] < 0.5 and moved[1] < 0.5 and moved[2] < 0.1:
+                settled.add((a, b))
+        return settled
 
     def _place(self, scan: int) -> _Place:
         """Return the map around a scan; its insides come from the chain, so it never changes."""
@@ -178,8 +194,8 @@ class _Search:
         settings, first, second = self.settings, self._place(a), self._place(b)
         if first.likelihood is None:
             first.likelihood = likelihood(first.map.points)
-        guess = between(self.poses[a], self.poses[b])
-        guess[2] = wrap(guess[2])
+        guess = self._guess(a, b)
+        self.tried[a, b] = guess
         sigma = half / 2.0
         least = settings.least_score
         pose, score = search(first.likelihood, second.coarse, guess, half, sigma=sigma, least=least)

@@ -67,23 +67,15 @@ def _stamp(
                         grid[layer, i + a, j + b] = value
 
 
-@compiled
 def _pool(grids: Bytes) -> None:
     """Fill every level from the one before."""
-    levels, layers, nx, ny = grids.shape
-    for h in range(1, levels):
+    for h in range(1, grids.shape[0]):
         d = 2 ** (h - 1)
-        for layer in range(layers):
-            for i in range(nx):
-                for j in range(ny):
-                    v = grids[h - 1, layer, i, j]
-                    if i + d < nx:
-                        v = max(v, grids[h - 1, layer, i + d, j])
-                        if j + d < ny:
-                            v = max(v, grids[h - 1, layer, i + d, j + d])
-                    if j + d < ny:
-                        v = max(v, grids[h - 1, layer, i, j + d])
-                    grids[h, layer, i, j] = v
+        below, level = grids[h - 1], grids[h]
+        level[:] = below
+        np.maximum(level[:, :-d], below[:, d:], out=level[:, :-d])
+        # What is read must not have been written: hence the copy.
+        np.maximum(level[:, :, :-d], level[:, :, d:].copy(), out=level[:, :, :-d])
 
 
 def field(scan: ScanPoints, cell: float = 0.1, sigma: float = 0.15) -> Field:
@@ -91,7 +83,7 @@ def field(scan: ScanPoints, cell: float = 0.1, sigma: float = 0.15) -> Field:
 
     `cell` and `sigma` in m. No points: an empty field, in which nothing scores.
     """
-    half = int(np.ceil(2.5 * sigma / cell))
+    half = int(np.ceil(2.0 * sigma / cell))
     # Below and left of the points there must be room for the widest maximum.
     margin = half + 2 ** (LEVELS - 1) + 1
     low = scan.points.min(axis=0) if scan.size else np.zeros(2)

@@ -113,7 +113,7 @@ def fit_line(first: int, last: int, piece: int, rules: Rules, beams: Beams, out:
             px, py = beams.x[k] + ahead * beams.ux[k] - mx, beams.y[k] + ahead * beams.uy[k] - my
             s = nx * py - ny * px
             seen = max(beams.r[k] + ahead, 0.0)
-            variance = across_variance(rules, seen, cosine)
+            variance = beams.excess[k] * across_variance(rules, seen, cosine)
             # A beam that errs in direction meets the wall farther away on average.
             bent = 0.5 * rules.bearing_sigma**2 * seen
             h += bent * (2.0 / cosine - cosine)

@@ -16,6 +16,8 @@ OPPOSED = 0.6
 """Cosine of the angle between normals below which two points are not of one surface."""
 CLUTTER = 0.1
 """Standard deviation [m] with which points of unknown surface attract one another."""
+CHANCE = 3
+"""How many pairs of such points tell nothing."""
 UNKNOWN = 10.0
 """Standard deviation [m] that a direction gets which nothing constrains."""
 SETTLED = 0.01
@@ -129,8 +131,9 @@ def _sums(
     info[:] = 0.0
     noise_info[:] = 0.0
     slope[:] = 0.0
-    paired, inliers = 0, 0
+    paired, inliers, small = 0, 0, 0
     squares, weights = 0.0, 0.0
+    small_info, small_slope = np.zeros((3, 3)), np.zeros(3)
     row = np.empty(3)
     across = np.empty(3)
     for p in range(moving.shape[0]):
@@ -154,10 +157,11 @@ def _sums(
             inliers += z < 2.0 * spread
             row[0], row[1], row[2] = 1.0, 0.0, -py
             across[0], across[1], across[2] = 0.0, 1.0, px
+            small += 1
             for a in range(3):
-                slope[a] += w * (row[a] * dx + across[a] * dy)
+                small_slope[a] += w * (row[a] * dx + across[a] * dy)
                 for b in range(3):
-                    info[a, b] += w * (row[a] * row[b] + across[a] * across[b])
+                    small_info[a, b] += w * (row[a] * row[b] + across[a] * across[b])
             continue
         e = nx * dx + ny * dy
         v = variance[k] + moving_variance[p]
@@ -175,6 +179,12 @@ def _sums(
             for b in range(3):
                 info[a, b] += w * row[a] * row[b]
                 noise_info[a, b] += w * tilt[k] * across[a] * across[b]
+    # A few such pairs come about by chance.
+    share = max(0.0, 1.0 - CHANCE / max(small, 1))
+    for a in range(3):
+        slope[a] += share * small_slope[a]
+        for b in range(3):
+            info[a, b] += share * small_info[a, b]
     return paired, inliers, squares, weights
 
 
@@ -191,20 +201,21 @@ def icp(
     moving: Floats,
     moving_normals: Floats,
     moving_variance: Floats,
+    start: Floats,
     guess: Floats,
     guess_information: Floats,
     gates: Floats,
     iterations: int,
     covariance: Floats,
 ) -> tuple[Floats, int, int, float, int]:
-    """Fit the moving points to the reference; return (pose, paired, inliers, rms, iterations).
+    """Fit the moving points to the reference from `start`; return (pose, paired, inliers, rms, iterations).
 
     `gates` = (first, last) width of the search [m], halved step by step; the rms is in sigmas.
-    `iterations` comes back as the limit + 1 where it did not settle. Directions of which the
-    points tell less than 1/`UNKNOWN`² stay at the guess. Writes the 3×3 covariance.
+    `iterations` comes back as the limit + 1 where it did not settle. The guess has
+    the information (3,), so that it counts in directions of which the points tell less. Writes the 3×3 covariance.
     """
     n = moving.shape[0]
-    pose = guess.copy()
+    pose = start.copy()
     info, noise_info, slope = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
     residuals = np.empty(n)
     gate, spread = gates[0], gates[0] / gates[1]
@@ -229,16 +240,17 @@ def icp(
             break
         step = np.zeros(3)
         for e in range(3):
-            along, prior, off = 0.0, 0.0, 0.0
+            along, prior, off, told = 0.0, 0.0, 0.0, 0.0
             for a in range(3):
                 along += vectors[a, e] * slope[a] * scale[a]
                 prior += (vectors[a, e] * scale[a]) ** 2 * guess_information[a]
                 off += vectors[a, e] * (pose[a] - guess[a]) / scale[a]
+                for b in range(3):
+                    told += vectors[a, e] * vectors[b, e] * info[a, b] * scale[a] * scale[b]
+            # The slope counts by the share of its information that is not noise.
             total = max(values[e], 0.0)
-            if total > prior:
-                length = -(along + prior * off) / (total + prior)
-            else:
-                length = -off
+            along *= total / max(told, 1e-9)
+            length = -(along + prior * off) / (total + prior)
             for a in range(3):
                 step[a] += vectors[a, e] * scale[a] * min(max(length, -0.5), 0.5)
         pose += step

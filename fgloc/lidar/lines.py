@@ -34,7 +34,7 @@ class LineSettings:
 
     min_points: int = 8
     """Fewest beams that make a segment."""
-    min_length_m: float = 0.4
+    min_length_m: float = 0.5
     """Shortest segment [m]."""
     flatness_m: float = 0.003
     """How far a wall as seen is off a plane as a whole [m], one sigma: does not average out."""
@@ -148,7 +148,8 @@ def _extract(
     """Fill segments scan by scan until the room may not do; return the next scan and the count."""
     size = rules.beams
     space = room(size)
-    work, before, keep = np.empty((9, size + 1)), np.empty(size + 1, np.int64), np.empty(size)
+    work, before = np.empty((12, size + 1)), np.empty(size + 1, np.int64)
+    next_to, keep = np.empty((size, 2), np.int64), np.empty(size, np.bool_)
     pieces = Pieces(
         np.empty(size, np.int64),
         np.empty(size, np.int64),
@@ -165,21 +166,16 @@ def _extract(
         count = split(beams, rules.penalty, rules.clutter, work, before)
         left = merge(fit_pieces(count, rules, beams, pieces), rules, beams, pieces)
         for q in range(left):
-            keep[q] = refine(
-                pieces.order[q],
-                neighbour(q, -1, left, rules, beams, pieces),
-                neighbour(q, 1, left, rules, beams, pieces),
-                rules,
-                beams,
-                pieces,
-            )
+            next_to[q, 0] = neighbour(q, -1, left, rules, beams, pieces)
+            next_to[q, 1] = neighbour(q, 1, left, rules, beams, pieces)
+        for q in range(left):
+            keep[q] = refine(pieces.order[q], next_to[q, 0], next_to[q, 1], rules, beams, pieces)
         for q in range(left):
             a, fit = pieces.order[q], pieces.fits[pieces.order[q]]
             long = pieces.last[a] - pieces.first[a] + 1 >= rules.min_points
             if not (keep[q] and long and straight(fit, rules)):
                 continue
-            back = neighbour(q, -1, left, rules, beams, pieces)
-            on = neighbour(q, 1, left, rules, beams, pieces)
+            back, on = next_to[q, 0], next_to[q, 1]
             if back >= 0 and chords(back, a, rules, beams, pieces):
                 continue
             if on >= 0 and chords(a, on, rules, beams, pieces):

@@ -124,15 +124,23 @@ def _mergeable(a: int, b: int, rules: Rules, beams: Beams, pieces: Pieces) -> bo
     if a == b or difference(fa, fb, rules.flatness_m) > rules.same:
         return False
     n = beams.r.size
+    begin, end = pieces.first[b], pieces.last[b]
+    if begin <= pieces.last[a]:
+        begin, end = begin + n, end + n
+    # No wall takes up half a turn: the way round the other side of the lidar is no gap.
+    turned = (beams.beam[end % n] - beams.beam[pieces.first[a]]) % rules.beams
+    if turned * rules.increment >= np.pi:
+        return False
     better, other = (fa, fb) if fa[BEAMS] >= fb[BEAMS] else (fb, fa)
     wide = _gap(better, other)
+    if wide <= rules.gap_m:
+        return True
     k = pieces.last[a] % n
     cosine = abs(np.cos(better[NORMAL]) * beams.ux[k] + np.sin(better[NORMAL]) * beams.uy[k])
     spacing = beams.r[k] * rules.increment / max(cosine, 0.05)
-    if wide <= max(rules.gap_m, 3.0 * spacing):
-        return True
-    begin = pieces.first[b] if pieces.first[b] > pieces.last[a] else pieces.first[b] + n
-    return wide <= rules.hidden_m and not _open(better, pieces.last[a] + 1, begin - 1, rules, beams)
+    return wide <= max(rules.hidden_m, 3.0 * spacing) and not passes(
+        better, pieces.last[a] + 1, begin - 1, rules, beams
+    )
 
 
 @compiled
@@ -190,7 +198,7 @@ def _gap(a: Floats, b: Floats) -> float:
 
 
 @compiled
-def _open(fit: Floats, first: int, last: int, rules: Rules, beams: Beams) -> bool:
+def passes(fit: Floats, first: int, last: int, rules: Rules, beams: Beams) -> bool:
     """Return whether the beams first..last, beside a fit, see through its line.
 
     They do if one ends more than the gap beyond it, or too many in a row did not return.

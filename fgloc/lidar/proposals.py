@@ -47,16 +47,9 @@ def way_lengths(length: Floats, covariance: Floats, model: Uncertainty) -> Float
     One that is known worse than the model says for its length, as where scans did not match,
     counts for as much way as would make it so uncertain.
     """
-    position = np.trace(covariance[:, :2, :2], axis1=1, axis2=2) / 2.0
-    return np.asarray(
-        np.maximum.reduce(
-            [
-                length,
-                position / model.position**2 * 0.25,
-                covariance[:, 2, 2] / model.heading**2 * 0.25,
-            ]
-        )
-    )
+    position = np.linalg.eigvalsh(covariance[:, :2, :2])[:, 1] / model.position**2
+    heading = covariance[:, 2, 2] / model.heading**2
+    return np.asarray(np.maximum(length, np.maximum(position, heading)))
 
 
 def propose(

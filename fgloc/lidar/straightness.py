@@ -22,7 +22,7 @@ from fgloc.lidar.fitting import (
     across_variance,
     fit_line,
 )
-from fgloc.lidar.merging import Pieces
+from fgloc.lidar.merging import Pieces, passes
 
 BROADEST = np.radians(45.0)
 """Neighbours that meet at a larger angle are a corner, not chords of a curve."""
@@ -46,6 +46,7 @@ def neighbour(q: int, side: int, left: int, rules: Rules, beams: Beams, pieces: 
     """Return the piece that touches the q-th at its end (side 1) or beginning (-1); -1 if none.
 
     Two pieces touch if they come one after the other and are no farther apart than beams are.
+    Pieces on both sides of an opening that beams pass do not touch.
     """
     if left < 2 or (not rules.turn and not 0 <= q + side < left):
         return -1
@@ -61,7 +62,10 @@ def neighbour(q: int, side: int, left: int, rules: Rules, beams: Beams, pieces: 
         fit = pieces.fits[c]
         spacing += (fit[LEFT] - fit[RIGHT]) / max(fit[BEAMS] - 1.0, 1.0)
     apart = np.hypot(beams.x[i] - beams.x[j], beams.y[i] - beams.y[j])
-    return other if apart <= 2.0 * spacing else -1
+    if apart > 2.0 * spacing:
+        return -1
+    passed = passes(pieces.fits[a], pieces.last[a] + 1, begin - 1, rules, beams)
+    return -1 if passed else other
 
 
 @compiled
@@ -70,7 +74,7 @@ def off(fit: Floats, k: int, rules: Rules, beams: Beams) -> float:
     nx, ny = np.cos(fit[NORMAL]), np.sin(fit[NORMAL])
     h = nx * (beams.x[k] - fit[MIDDLE_X]) + ny * (beams.y[k] - fit[MIDDLE_Y])
     cosine = max(-(nx * beams.ux[k] + ny * beams.uy[k]), FLATTEST)
-    return h / np.sqrt(across_variance(rules, beams.r[k], cosine))
+    return h / np.sqrt(beams.excess[k] * across_variance(rules, beams.r[k], cosine))
 
 
 @compiled
@@ -111,10 +115,23 @@ def refine(piece: int, before: int, after: int, rules: Rules, beams: Beams, piec
 
 @compiled
 def _explained(k: int, piece: int, other: int, rules: Rules, beams: Beams, pieces: Pieces) -> bool:
-    """Return whether beam k is not the piece's, or near enough to the line of another."""
+    """Return whether beam k is not the piece's, or meets it too near to the line of another.
+
+    Where the beam meets the piece's line is asked, not where it ended, so that the answer does
+    not depend on its error.
+    """
     if beams.label[k] != piece:
         return True
-    return abs(off(pieces.fits[other], k, rules, beams)) < AMBIGUOUS
+    own, next_wall = pieces.fits[piece], pieces.fits[other]
+    ux, uy = beams.ux[k], beams.uy[k]
+    nx, ny = np.cos(own[NORMAL]), np.sin(own[NORMAL])
+    cosine = max(-(nx * ux + ny * uy), FLATTEST)
+    r = -(nx * own[MIDDLE_X] + ny * own[MIDDLE_Y]) / cosine
+    nx, ny = np.cos(next_wall[NORMAL]), np.sin(next_wall[NORMAL])
+    h = nx * (r * ux - next_wall[MIDDLE_X]) + ny * (r * uy - next_wall[MIDDLE_Y])
+    cosine = max(-(nx * ux + ny * uy), FLATTEST)
+    variance = beams.excess[k] * across_variance(rules, r, cosine)
+    return h * h < AMBIGUOUS * AMBIGUOUS * variance
 
 
 @compiled

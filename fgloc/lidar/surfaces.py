@@ -23,6 +23,8 @@ FARTHEST = 40.0
 """Points beyond [m] are left out: beams are too far apart there to tell a surface."""
 PATCH = 0.5
 """Length of wall [m] over which what a wall deviates from its line is taken as one error."""
+GRAZING = 1.5
+"""Distance [m] up to which a few beams in line are taken for a wall seen at a grazing angle."""
 UNEVEN = 0.01
 """How far walls deviate from straight lines, range bias included [m]."""
 
@@ -62,6 +64,38 @@ class ScanPoints:
 
 
 @compiled
+def _neighbours(
+    points: Floats, valid: Mask, i: int, reach: float, gap: float, beams: int, sums: Floats
+) -> bool:
+    """Sum up a point's neighbours relative to it: n, x, y, xx, xy, yy.
+
+    They reach to both sides as far as `reach` [m], no gap between two wider than `gap` [m], at
+    most so many beams. Returns whether the surface goes on beyond.
+    """
+    sums[:] = 0.0
+    sums[0] = 1.0
+    goes_on = False
+    for side in (-1, 1):
+        j, before = i + side, i
+        while 0 <= j < points.shape[0] and valid[j] and abs(j - i) <= beams:
+            dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+            if np.hypot(points[j, 0] - points[before, 0], points[j, 1] - points[before, 1]) > gap:
+                break
+            if np.hypot(dx, dy) > reach:
+                goes_on = True
+                break
+            sums[0] += 1.0
+            sums[1] += dx
+            sums[2] += dy
+            sums[3] += dx * dx
+            sums[4] += dx * dy
+            sums[5] += dy * dy
+            before = j
+            j += side
+    return goes_on
+
+
+@compiled
 def _surfaces(
     points: Floats,
     valid: Mask,
@@ -70,10 +104,15 @@ def _surfaces(
     normals: Floats,
     tilt: Floats,
     variance: Floats,
+    useful: Mask,
 ) -> None:
-    """Fit a line to the neighbours of every point of one scan; write normals and variances."""
-    beams = points.shape[0]
-    for i in range(beams):
+    """Fit a line to the neighbours of every point of one scan; write normals and variances.
+
+    `useful` is set for points with a normal, and for those on something small or rugged. Not for
+    those of a wall that is too noisy: they would pull along it.
+    """
+    sums = np.empty(6)
+    for i in range(points.shape[0]):
         if not valid[i]:
             continue
         x, y = points[i, 0], points[i, 1]
@@ -81,30 +120,20 @@ def _surfaces(
         sigma = np.sqrt(noise[0] ** 2 + (noise[1] * r) ** 2)
         across = noise[2] * r
         spacing = r * step
-        reach = min(max(max(0.2, 10.0 * max(sigma, across)), 2.5 * spacing), 1.2)
+        reach = min(max(max(0.2, 12.0 * max(sigma, across)), 2.5 * spacing), 1.2)
         gap = max(max(0.15, 4.0 * sigma), 5.0 * spacing)
-        n, sx, sy, sxx, sxy, syy = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for side in (-1, 1):
-            j, px, py = i + side, x, y
-            while 0 <= j < beams and valid[j]:
-                qx, qy = points[j, 0], points[j, 1]
-                dx, dy = qx - x, qy - y
-                if np.hypot(qx - px, qy - py) > gap or np.hypot(dx, dy) > reach:
-                    break
-                n += 1.0
-                sx += dx
-                sy += dy
-                sxx += dx * dx
-                sxy += dx * dy
-                syy += dy * dy
-                j += side
-                px, py = qx, qy
         variance[i] = sigma**2 + across**2 + 0.02**2
-        if n < 4.0:
-            continue
-        sxx -= sx * sx / n
-        sxy -= sx * sy / n
-        syy -= sy * sy / n
+        goes_on = _neighbours(points, valid, i, reach, gap, points.shape[0], sums)
+        thinly = sums[0] < 4.0
+        if thinly:
+            # Perhaps a wall at a grazing angle: few beams, far apart, but in one line.
+            goes_on = False
+            _neighbours(points, valid, i, GRAZING, GRAZING, 3, sums)
+            if sums[0] < 4.0:
+                continue
+        n, mx, my = sums[0], sums[1] / sums[0], sums[2] / sums[0]
+        sxx, syy = sums[3] - n * mx * mx, sums[5] - n * my * my
+        sxy = sums[4] - n * mx * my
         middle, half = 0.5 * (sxx + syy), np.hypot(0.5 * (sxx - syy), sxy)
         long, short = middle + half, max(middle - half, 0.0)
         angle = 0.5 * np.arctan2(2.0 * sxy, sxx - syy) + 0.5 * np.pi
@@ -113,8 +142,14 @@ def _surfaces(
             nx, ny = -nx, -ny
         along = abs(nx * x + ny * y) / r
         white = (sigma * along) ** 2 + across**2 * (1.0 - along**2)
-        if short / (n - 2.0) > 6.0 * (white + UNEVEN**2) or long < 25.0 * short:
+        # Six times what noise makes, or what chance makes of few points once in ten thousand.
+        freedom = n - 2.0
+        limit = max(6.0 * freedom, freedom + 4.0 * np.sqrt(2.0 * freedom) + 8.0)
+        rugged = short > limit * (white + UNEVEN**2)
+        if rugged or long < 25.0 * short:
+            useful[i] = rugged or not goes_on
             continue
+        useful[i] = True
         normals[i, 0], normals[i, 1] = nx, ny
         tilt[i] = (white + UNEVEN**2) / long
         # n points lie on a piece of wall of about sqrt(12 long / n).
@@ -131,17 +166,19 @@ def _all_surfaces(
     normals: Floats,
     tilt: Floats,
     variance: Floats,
+    useful: Mask,
 ) -> None:
     """Do every scan."""
     for k in range(points.shape[0]):
-        _surfaces(points[k], valid[k], step, noise, normals[k], tilt[k], variance[k])
+        _surfaces(points[k], valid[k], step, noise, normals[k], tilt[k], variance[k], useful[k])
 
 
 def surfaces(points: Floats, valid: Mask, scans: Scans) -> list[ScanPoints]:
     """Return every scan's points with their normals, in the axes of `points`.
 
     `points` (N, B, 2) [m] in each lidar's axes in beam order and `valid` (N, B), as a `Cloud` has
-    them; `scans` tells the noise. Points beyond 40 m are left out. O(N·B), about 20 µs a scan.
+    them; `scans` tells the noise. Points beyond 40 m are left out, and so are points of walls that
+    are sampled too thinly to tell a normal: they would pull along the wall. O(N·B), about 0.2 ms a scan.
     FglocError where the shapes differ.
     """
     if points.shape != (*valid.shape, 2) or valid.shape != scans.ranges.shape:
@@ -153,6 +190,7 @@ def surfaces(points: Floats, valid: Mask, scans: Scans) -> list[ScanPoints]:
     usable = valid & np.isfinite(near) & (near < FARTHEST) & (near > 0.0)
     normals = np.zeros(points.shape)
     tilt, variance = np.zeros(valid.shape), np.zeros(valid.shape)
+    useful = np.zeros(valid.shape, np.bool_)
     noise = np.array([scans.range_sigma, scans.range_sigma_share, scans.bearing_sigma])
     _all_surfaces(
         np.ascontiguousarray(points, dtype=np.float64),
@@ -162,40 +200,53 @@ def surfaces(points: Floats, valid: Mask, scans: Scans) -> list[ScanPoints]:
         normals,
         tilt,
         variance,
+        useful,
     )
     return [
         ScanPoints(points[k][u], normals[k][u], tilt[k][u], variance[k][u])
-        for k, u in enumerate(usable)
+        for k, u in enumerate(useful)
     ]
 
 
 @compiled
-def _first_of_cell(keys: npt.NDArray[np.int64], order: npt.NDArray[np.int64], keep: Mask) -> None:
-    """Mark the first point of every run of equal keys, in the order given."""
-    last = np.int64(-1)
-    for k in order:
-        if keys[k] != last:
-            keep[k] = True
-            last = keys[k]
+def _best_of_cells(points: Floats, normals: Floats, tilt: Floats, size: float, keep: Mask) -> None:
+    """Mark the point of every cell and side whose normal is known best; unknown ones come last."""
+    n = points.shape[0]
+    slots = 16
+    while slots < 3 * n:
+        slots *= 2
+    table = np.full(slots, -1, np.int64)
+    keys = np.empty((n, 3), np.int64)
+    for p in range(n):
+        keys[p, 0] = int(np.floor(points[p, 0] / size))
+        keys[p, 1] = int(np.floor(points[p, 1] / size))
+        nx, ny = normals[p, 0], normals[p, 1]
+        keys[p, 2] = -1
+        if nx != 0.0 or ny != 0.0:
+            keys[p, 2] = int(np.floor(np.arctan2(ny, nx) / (0.5 * np.pi))) + 2
+        slot = (keys[p, 0] * 73856093 ^ keys[p, 1] * 19349663 ^ keys[p, 2] * 83492791) & (slots - 1)
+        while True:
+            q = table[slot]
+            if q < 0:
+                table[slot] = p
+                keep[p] = True
+                break
+            if keys[q, 0] == keys[p, 0] and keys[q, 1] == keys[p, 1] and keys[q, 2] == keys[p, 2]:
+                if tilt[p] < tilt[q]:
+                    keep[q] = False
+                    table[slot] = p
+                    keep[p] = True
+                break
+            slot = (slot + 1) & (slots - 1)
 
 
 def thin(scan: ScanPoints, size: float) -> ScanPoints:
     """Return at most one point for every square of `size` [m] and quarter of normal directions.
 
-    The one whose normal is known best stays. Front and back of a thin wall are kept apart.
-    O(P log P).
+    The one whose normal is known best stays. Front and back of a thin wall are kept apart. O(P).
     """
-    if scan.size == 0:
-        return scan
-    cell = np.floor(scan.points / size).astype(np.int64)
-    cell -= cell.min(axis=0)
-    known = np.any(scan.normals != 0.0, axis=1)
-    quarter = np.floor(np.arctan2(scan.normals[:, 1], scan.normals[:, 0]) / (np.pi / 2.0))
-    side = np.where(known, quarter.astype(np.int64) + 2, 5)
-    keys = (cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1]) * 6 + side
-    order = np.lexsort((np.where(known, scan.tilt, np.inf), keys))
     keep = np.zeros(scan.size, bool)
-    _first_of_cell(keys, order, keep)
+    _best_of_cells(scan.points, scan.normals, scan.tilt, size, keep)
     return scan.select(keep)
 
 

@@ -41,6 +41,17 @@ class Walls:
             if values.shape != shape:
                 raise FglocError(f"walls: {name} must have shape {shape}, got {values.shape}")
 
+    def select(self, which: Stamps) -> Walls:
+        """Return some of the walls, by index, in that order."""
+        return Walls(
+            self.normal[which],
+            self.offset[which],
+            self.anchor[which],
+            self.reach[which],
+            self.covariance[which],
+            self.sightings[which],
+        )
+
     @property
     def ends(self) -> Floats:
         """Return (L, 2, 2) the right and the left end [m] of each wall in map axes."""

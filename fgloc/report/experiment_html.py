@@ -60,7 +60,7 @@ def _table(table: Table) -> str:
     def css(k: int, text: str) -> str:
         names = ["left"] if k < len(table.labels) or heads[k] == VERDICT else []
         if heads[k] == VERDICT:
-            bad = Verdict.FAILED.value in text or Verdict.MISSING.value in text
+            bad = any(v.value in text for v in (Verdict.FAILED, Verdict.MISSING, Verdict.MISSED))
             names.append("bad" if bad else "good")
         return f' class="{" ".join(names)}"' if names else ""
 

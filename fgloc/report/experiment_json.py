@@ -55,4 +55,9 @@ def _cell(cell: Cell | str) -> dict[str, Any]:
             "verdict": None if cell.verdict is None else cell.verdict.value,
             "explanation": cell.explanation,
         }
+    elif cell.target is not None:
+        document |= {
+            "target": cell.target,
+            "verdict": None if cell.verdict is None else cell.verdict.value,
+        }
     return document

@@ -1,7 +1,7 @@
 """What an experiment found: tables of published beside reproduced numbers, notes, figures.
 
-Input of all renderers. A `Cell` judges its own published number, so that a verdict is the same on
-the terminal, in Markdown, in HTML and in JSON.
+Input of all renderers. A `Cell` judges its own published number or target, so that a verdict is the
+same on the terminal, in Markdown, in HTML and in JSON.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fgloc.core.trajectory import Trajectory
 
 
 class Verdict(StrEnum):
-    """What is to be said of one published number."""
+    """What is to be said of one published number, or of one target."""
 
     REPRODUCED = "reproduced"
     """The number here is within one unit of the last printed digit."""
@@ -31,6 +31,10 @@ class Verdict(StrEnum):
     """It differs, and nothing explains it."""
     MISSING = "not run"
     """There is no number here to compare with."""
+    MET = "target met"
+    """The number here is not above what it was to be at most."""
+    MISSED = "target MISSED"
+    """It is above."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,8 @@ class Cell:
     """The published number."""
     explanation: str = ""
     """Why the published number cannot follow from the published description, with evidence."""
+    target: float | None = None
+    """What this project's number is to be at most, where nothing is published."""
 
     @property
     def tolerance(self) -> float:
@@ -80,13 +86,14 @@ class Cell:
 
     @property
     def verdict(self) -> Verdict | None:
-        """Return what is to be said of the published number; None if there is none.
+        """Return what is to be said of the published number or the target; None if there is none.
 
         One number must be within a unit of the published one's last digit, and so must the
-        central 95 % of a distribution, at least at one of its ends.
+        central 95 % of a distribution, at least at one of its ends. A target holds for all of the
+        central 95 %, and for the number as it is, not as it is shown.
         """
         if self.published is None:
-            return None
+            return None if self.target is None else self._against_target(self.target)
         if self.value is None:
             return Verdict.MISSING
         if isinstance(self.value, Distribution):
@@ -97,6 +104,13 @@ class Cell:
         if low - self.tolerance <= self.published <= high + self.tolerance:
             return found
         return Verdict.EXPLAINED if self.explanation else Verdict.FAILED
+
+    def _against_target(self, target: float) -> Verdict:
+        """Return whether the number is at most the target; NaN is not."""
+        if self.value is None:
+            return Verdict.MISSING
+        highest = self.value.high if isinstance(self.value, Distribution) else self.value
+        return Verdict.MET if highest <= target else Verdict.MISSED
 
 
 @dataclass(frozen=True)
@@ -123,10 +137,10 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """Published numbers beside those found here.
+    """Published numbers or targets beside those found here.
 
-    A column in which a cell has a published number is shown as two, published and here. The
-    verdicts of a row stand in a last column.
+    A column in which a cell has a published number is shown as two, published and here, and one in
+    which a cell has a target likewise. The verdicts of a row stand in a last column.
     """
 
     id: str
@@ -147,12 +161,17 @@ class Table:
         cells = (row.cells.get(column.key) for row in self.rows)
         return any(isinstance(c, Cell) and c.published is not None for c in cells)
 
+    def targeted(self, column: Column) -> bool:
+        """Return True if some cell of the column has a target."""
+        cells = (row.cells.get(column.key) for row in self.rows)
+        return any(isinstance(c, Cell) and c.target is not None for c in cells)
+
     def judged(self) -> Iterator[tuple[Row, Column, Cell]]:
-        """Yield every cell that has a published number."""
+        """Yield every cell that has a published number or a target."""
         for row in self.rows:
             for column in self.columns:
                 cell = row.cells.get(column.key)
-                if isinstance(cell, Cell) and cell.published is not None:
+                if isinstance(cell, Cell) and cell.verdict is not None:
                     yield row, column, cell
 
 
@@ -188,7 +207,7 @@ class Report:
     """Further numbers for JSON, e.g. every seed's."""
 
     def verdicts(self) -> dict[Verdict, int]:
-        """Return how many published numbers have each verdict, in the order of `Verdict`."""
+        """Return how many numbers have each verdict, in the order of `Verdict`."""
         found = Counter(c.verdict for table in self.tables for _, _, c in table.judged())
         return {v: found[v] for v in Verdict if found[v]}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ from fgloc.report.experiment_report import (
     Cell,
     Report,
     Table,
+    Verdict,
     footnotes,
     number,
     shown,
@@ -41,6 +43,8 @@ def headings(table: Table) -> list[str]:
         unit = f"\n[{column.unit}]" if column.unit else ""
         if table.published(column):
             found.append(f"published{unit}")
+        if table.targeted(column):
+            found.append(f"at most{unit}")
         found.append(f"{column.title}{unit}")
     return [*found, VERDICT] if _judged(table) else found
 
@@ -60,6 +64,9 @@ def lines(table: Table) -> list[list[str]]:
                     if isinstance(cell, Cell) and known
                     else ""
                 )
+            if table.targeted(column):
+                wanted = cell.target if isinstance(cell, Cell) else None
+                line.append("" if wanted is None else f"{wanted:g}")
             line.append(shown(cell))
         if _judged(table):
             line.append(verdict_text(table, row, marks))
@@ -73,14 +80,17 @@ def remarks(table: Table) -> list[str]:
 
 
 def summary(report: Report) -> str:
-    """Return one sentence on how many published numbers have which verdict; empty for none."""
-    counts = report.verdicts()
-    if not counts:
-        return ""
-    total = sum(counts.values())
-    return f"Of {total} published numbers: " + ", ".join(
-        f"{n} {verdict.value}" for verdict, n in counts.items()
-    )
+    """Return one sentence on how many published numbers and targets have which verdict."""
+    cells = [cell for table in report.tables for _, _, cell in table.judged()]
+    published = Counter(c.verdict for c in cells if c.published is not None)
+    targets = Counter(c.verdict for c in cells if c.published is None)
+    parts = [
+        f"{total.total()} {what}: "
+        + ", ".join(f"{total[verdict]} {verdict.value}" for verdict in Verdict if total[verdict])
+        for what, total in (("published numbers", published), ("targets", targets))
+        if total
+    ]
+    return "Of " + "; of ".join(parts) if parts else ""
 
 
 def markdown(report: Report, figures: Sequence[tuple[str, str]]) -> str:
@@ -108,7 +118,7 @@ def _markdown_line(cells: Sequence[str]) -> str:
 
 
 def _judged(table: Table) -> bool:
-    """Return True if the table has a published number."""
+    """Return True if the table has a published number or a target."""
     return any(True for _ in table.judged())
 
 

@@ -53,6 +53,12 @@ def save(figure: Figure, path: Path) -> Path:
     return path
 
 
+def save_svg(figure: Figure, path: Path) -> Path:
+    """Write the figure as SVG, without a date so that equal figures are equal files; return it."""
+    figure.savefig(path, format="svg", dpi=DPI, metadata={"Date": None})
+    return path
+
+
 def colour(method: str) -> str:
     """Return the method's colour; grey for one that is not known."""
     return COLOURS.get(method, "#666666")

@@ -9,6 +9,7 @@ import numpy as np
 
 from fgloc.core.evaluation import error_series, map_mount
 from fgloc.core.measurements import Floats, PoseFixes, PositionFixes
+from fgloc.report.ellipses import draw_ellipses
 from fgloc.report.figures import FIX, TRUTH, colour, height, new_figure, save, style
 from fgloc.report.outcomes import DriveOutcome
 
@@ -17,9 +18,6 @@ if TYPE_CHECKING:
 
 ELLIPSES = 30
 """Covariance ellipses drawn along a path."""
-SIGMAS_95 = 2.4477
-"""Half axes of a plane 95 % ellipse in standard deviations: the root of chi² 5.991, 2 degrees."""
-MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
 
 def plot_trajectory(outcome: DriveOutcome, path: Path) -> Path:
@@ -75,33 +73,16 @@ def plot_trajectory(outcome: DriveOutcome, path: Path) -> Path:
 
 def _ellipses(axes: Axes, poses: Floats, covariances: Floats, extent: float, method: str) -> None:
     """Draw 95 % ellipses of (x, y) at some poses, evenly spaced in time."""
-    from matplotlib.collections import EllipseCollection
-
     chosen = np.unique(np.linspace(0, len(poses) - 1, ELLIPSES).astype(np.int64))
-    values, vectors = np.linalg.eigh(covariances[chosen, :2, :2])
-    full = 2.0 * SIGMAS_95 * np.sqrt(np.maximum(values, 0.0))
     # The typical ellipse should span some 4 % of the figure.
-    typical = float(np.median(full[:, 1]))
-    wanted = 0.04 * extent / typical if typical > 0.0 else 1.0
-    times = max((m for m in MAGNIFICATIONS if m <= max(wanted, 1.0)), default=1)
-    angles = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
-    label = f"{method}, 95 %" + (f" (drawn {times}× as large)" if times > 1 else "")
-    axes.add_collection(
-        EllipseCollection(
-            times * full[:, 1],
-            times * full[:, 0],
-            angles,
-            units="xy",
-            offsets=poses[chosen, :2],
-            offset_transform=axes.transData,
-            facecolors=(colour(method), 0.2),
-            edgecolors=(colour(method), 0.9),
-            linewidths=0.9,
-            zorder=3,
-        )
+    draw_ellipses(
+        axes,
+        poses[chosen, :2],
+        covariances[chosen, :2, :2],
+        0.04 * extent,
+        colour(method),
+        f"{method}, 95 %",
     )
-    shade = (colour(method), 0.2)
-    axes.plot([], [], "o", mfc=shade, mec=colour(method), ms=9, label=label)
 
 
 def plot_errors(outcome: DriveOutcome, path: Path) -> Path | None:

@@ -10,6 +10,7 @@ from typing import Any
 from fgloc import __version__
 from fgloc.core.evaluation import Evaluation
 from fgloc.estimator import Live, Spread
+from fgloc.report.map_json import map_json
 from fgloc.report.outcomes import Comparison, DriveOutcome, MethodOutcome
 
 START = "every method starts from the recorded truth's first pose (the origin without truth)"
@@ -98,6 +99,7 @@ def _method(outcome: MethodOutcome) -> dict[str, Any]:
         "convergence": result.convergence,
         "notes": list(result.notes),
         "online": None if result.live is None else _live(result.live),
+        "map": None if result.map is None else map_json(result.map),
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from fgloc import __version__
 from fgloc.atomic import write_text
 from fgloc.config import robot_toml
 from fgloc.core.trajectory_io import save_trajectory
+from fgloc.report.map_files import MapFiles, write_map
 from fgloc.report.outcomes import Comparison, DriveOutcome
 from fgloc.report.results_json import comparison_json, dumps
 from fgloc.report.rundir import RunDir
@@ -24,6 +26,7 @@ DRIVE/robot.toml     the robot as it was described before anything was estimated
 DRIVE/METHOD.tum     trajectory of base_link: time, x, y, z, quaternion
 DRIVE/truth.tum      the recorded truth, in its own frame
 DRIVE/*.png          figures
+DRIVE/map.*          with --map: figure, GeoJSON, scan points, occupancy grid
 """
 
 
@@ -33,11 +36,15 @@ def write_run(
     command: str,
     arguments: Mapping[str, Any],
     tell: Callable[[int, int, str], None] | None = None,
-) -> Path:
-    """Write a run folder below `out` and return it; `tell` hears how many drives are written.
+    map_resolution: float | None = None,
+) -> tuple[Path, list[MapFiles]]:
+    """Write a run folder below `out`; return it, and the maps in it.
 
-    The folder appears whole, or not at all. Raises FglocError if it cannot be written.
+    `tell` hears how many drives are written; with `map_resolution` (side of a cell [m]) the map of
+    each drive's first method is written too. The folder appears whole, or not at all. Raises
+    FglocError if it cannot be written, or a map cannot be made.
     """
+    maps: dict[str, MapFiles] = {}
     names = folder_names([outcome.drive.name for outcome in comparison.drives])
     with RunDir.create(out) as run:
         settings = {"fgloc_version": __version__, "command": command, **arguments}
@@ -48,11 +55,17 @@ def write_run(
             _write_trajectories(outcome, run, name)
             drawn = draw_figures(outcome, run.file(f"{name}/trajectory.png").parent)
             figures += [f"{name}/{path.name}" for path in drawn]
+            if map_resolution is not None and outcome.methods:
+                result = next(iter(outcome.methods.values())).result
+                folder = run.file(f"{name}/map.png").parent
+                maps[name] = write_map(result, outcome.drive, folder, map_resolution)
+                figures.append(f"{name}/map.png")
             if tell is not None:
                 tell(k, len(names), f"{outcome.drive.name} figures")
         write_text(run.file("report.json"), dumps(comparison_json(comparison)))
         write_text(run.file("report.md"), markdown(comparison, f"fgloc {command}", figures))
-    return run.path
+    # The folder has got its final name.
+    return run.path, [replace(made, folder=run.path / name) for name, made in maps.items()]
 
 
 def draw_figures(outcome: DriveOutcome, folder: Path) -> list[Path]:

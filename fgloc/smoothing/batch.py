@@ -12,6 +12,7 @@ from fgloc.core.trajectory import Trajectory
 from fgloc.errors import FglocError
 from fgloc.estimator import DOWN_WEIGHTED, Result, SensorCount, SensorResiduals, calibration_of
 from fgloc.factors.tables import COMPONENTS, residuals
+from fgloc.smoothing.mapping import map_of
 from fgloc.smoothing.optimise import Solution
 from fgloc.smoothing.problem import HIDDEN, Problem
 from fgloc.smoothing.settings import Settings
@@ -99,6 +100,7 @@ def _result(
         slips=slips,
         notes=tuple(notes),
         calibration_covariance=calibration_covariance,
+        map=map_of(problem, solution),
     )
 
 

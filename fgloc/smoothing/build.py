@@ -21,6 +21,7 @@ from fgloc.core.robot import Robot
 from fgloc.core.start import trim_to_truth
 from fgloc.factors.robust import PLAIN, Loss
 from fgloc.factors.tables import FactorTable, Kind
+from fgloc.smoothing.front import Front
 from fgloc.smoothing.initial import first_guess
 from fgloc.smoothing.keyframes import (
     absolute_fixes,
@@ -32,6 +33,7 @@ from fgloc.smoothing.keyframes import (
 )
 from fgloc.smoothing.problem import Problem, diagonal
 from fgloc.smoothing.remarks import remarks
+from fgloc.smoothing.scene import Scene
 from fgloc.smoothing.sensors import (
     FREE_HEADING,
     Columns,
@@ -251,6 +253,22 @@ def _add_sightings(b: _Builder, sensor: LandmarkSightings, loss: Loss) -> None:
         )
 
 
+def _scene(b: _Builder, front: Front) -> Scene:
+    """Return the lidar's part of the graph, without walls yet."""
+    scans = front.scans
+    b.counts[scans.sensor] = (scans.stamps_ns.size, front.left_out)
+    return Scene(
+        scans=scans,
+        numbers=front.numbers,
+        segments=front.segments,
+        at=np.searchsorted(b.keyframes_ns, scans.stamps_ns).astype(np.int64),
+        block=b.mount(scans.sensor, scans.mount, scans.mount_sigma),
+        first=len(b.marks),
+        wall=np.full(front.segments.scan.size, -1, np.int64),
+        anchors=np.zeros((0, 2)),
+    )
+
+
 def _add_start(b: _Builder, drive: Drive, start: Floats, sigma: Floats) -> None:
     """Tie the first keyframe to where the drive starts, through the reference's mounting."""
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -271,13 +289,17 @@ def _add_start(b: _Builder, drive: Drive, start: Floats, sigma: Floats) -> None:
     )
 
 
-def build_problem(drive: Drive, settings: Settings) -> Problem:
+def build_problem(drive: Drive, settings: Settings, front: Front | None = None) -> Problem:
     """Build the graph of a drive: O(N) numpy, no loop over measurements.
 
-    Raises FglocError where the drive's wheels and truth do not overlap in time.
+    `front` is what its lidar sees; the walls come later (`smoothing.mapping`). Raises FglocError
+    where the drive's wheels and truth do not overlap in time.
     """
     drive = trim_to_truth(drive)
-    keyframes = choose_keyframes(drive, settings.keyframe_period_s)
+    scans = None if front is None else front.scans
+    keyframes = choose_keyframes(
+        drive, settings.keyframe_period_s, None if scans is None else scans.stamps_ns
+    )
     split = split_at(drive.wheels, keyframes)
     rounding = rounding_sigma(drive.robot, drive.wheels.resolution)
     builder = _Builder(keyframes, drive.robot, rounding)
@@ -296,6 +318,7 @@ def build_problem(drive: Drive, settings: Settings) -> Problem:
         _add_fixes(builder, fixes, settings.fix_loss if robust else PLAIN)
     for sightings in drive.each(LandmarkSightings):
         _add_sightings(builder, sightings, settings.landmark_loss if robust else PLAIN)
+    scene = None if front is None else _scene(builder, front)
     states = np.zeros((keyframes.size, builder.width))
     states[:, :3] = guess.poses
     for column, first in builder.zeros:
@@ -313,6 +336,7 @@ def build_problem(drive: Drive, settings: Settings) -> Problem:
         turn=guess.turn,
         turn_spread=guess.turn_spread,
         landmarks=np.zeros((len(builder.marks), 2)),
+        scene=scene,
         marks=np.array(list(builder.marks), dtype=np.int64),
         notes=(*guess.notes, *remarks(drive, builder.counts)),
     )

@@ -24,6 +24,8 @@ PIECE_S = 10.0
 """How much each piece adds [s]."""
 ROUGH = 1e-2
 """Relative decrease at which a piece is good enough to go on."""
+FEW = 4
+"""Linearisations of each of its two stages at most."""
 AGAIN = 4.0
 """What is handed on is inflated by this, since a part of it is counted twice."""
 NEW_M = 1e3
@@ -50,7 +52,7 @@ def forward(problem: Problem, settings: Settings) -> tuple[Floats, Floats, Float
     states, u = problem.states.copy(), np.zeros(len(problem.parameters))
     known = _surveyed(problem)
     prior, iterations = CalibrationPrior.of(problem), 0
-    rough = replace(settings, tolerance=ROUGH, covariances=False)
+    rough = replace(settings, tolerance=ROUGH, max_iterations=FEW)
     begin, done = 0, 1
     marginals = np.zeros((0, states.shape[1], states.shape[1]))
     offset = 0

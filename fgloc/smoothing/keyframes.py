@@ -29,8 +29,10 @@ def absolute_fixes(drive: Drive) -> tuple[PositionFixes | PoseFixes, ...]:
     return tuple(s for s in drive.sensors if isinstance(s, PositionFixes | PoseFixes))
 
 
-def choose_keyframes(drive: Drive, period_s: float) -> Stamps:
+def choose_keyframes(drive: Drive, period_s: float, scans: Stamps | None = None) -> Stamps:
     """Return (K,) keyframe stamps: wheel stamps about `period_s` apart and every fix stamp.
+
+    So do the `scans` that are used; wheel stamps less than half a period beside one are left out.
 
     A fix and a sighting get a keyframe of their own, so that nothing has to be interpolated to
     them; so does a yaw reading of a sensor too slow to interpolate. O(N).
@@ -45,6 +47,13 @@ def choose_keyframes(drive: Drive, period_s: float) -> Stamps:
     if long.size:
         extra = [stamps[(stamps > keep[k]) & (stamps < keep[k + 1])] for k in long]
         keep = np.concatenate([keep, *extra])
+    if scans is not None and scans.size:
+        after = np.searchsorted(scans, keep)
+        near = np.minimum(
+            np.abs(keep - scans[np.maximum(after - 1, 0)]),
+            np.abs(keep - scans[np.minimum(after, scans.size - 1)]),
+        )
+        keep = np.concatenate([keep[near > period // 2], scans])
     fixes = [f.stamps_ns for f in absolute_fixes(drive)]
     seen = [np.unique(m.stamps_ns) for m in drive.each(LandmarkSightings)]
     slow = [y.stamps_ns for y in drive.each(Yaw) if is_slow(y.stamps_ns)]

@@ -1,8 +1,8 @@
 """One linear step of a graph that is more than a chain: landmarks, and scans matched far apart.
 
 The wheels' chain stays as it is, one JacobianFactor a keyframe; every sighting and every match is
-one more. GTSAM eliminates in METIS's order, found once from the structure without the calibration,
-which comes last: with one calibration block in every factor COLAMD would be quadratic.
+one more. GTSAM eliminates in an order that cuts time in two again and again, as cyclic reduction
+does, the calibration last: with one calibration block in every factor COLAMD would be quadratic.
 """
 
 from __future__ import annotations
@@ -149,8 +149,8 @@ def _solve_network(
         add_damping(graph, system.squared_norms(), damping)
     pairs = _pairs(system)
     if not np.isin(np.arange(k, shared), pairs[:, 1]).all():
-        return None  # a landmark that nothing saw; METIS would not return from it
-    ordering = _ordering(chain, pairs, shared)
+        return None  # a landmark that nothing saw
+    ordering = _ordering(k, pairs, shared, g > 0)
     for function in ((), (gtsam.EliminateQR,)):
         try:
             tree = graph.eliminateMultifrontal(ordering, *function)
@@ -192,19 +192,39 @@ def _pairs(system: NetworkRows) -> Stamps:
     return np.unique(np.concatenate([none, *every]), axis=0)
 
 
-def _ordering(chain: ChainRows, pairs: Stamps, shared: int) -> gtsam.Ordering:
-    """Return METIS's order of keyframes and landmarks, the calibration last."""
+def _ordering(keyframes: int, pairs: Stamps, shared: int, calibrated: bool) -> gtsam.Ordering:
+    """Return every variable by the level at which time is cut in two there, the calibration last.
+
+    Keyframes are cut as in cyclic reduction: by how often two divides their one-based number. A
+    landmark goes with the cut that lies between its first and its last sighting, and so does the
+    first keyframe of a match. METIS would do, but does not always return.
+    """
     import gtsam
 
-    graph = gtsam.SymbolicFactorGraph()
-    for k in range(chain.bounds.size - 2):
-        graph.push_factor(k, k + 1)
-    for i, j in pairs.tolist():
-        graph.push_factor(i, j)
-    ordering = gtsam.Ordering.MetisSymbolicFactorGraph(graph)
-    if chain.calibration:
-        ordering.push_back(shared)
-    return ordering
+    number = np.arange(1, keyframes + 1)
+    level = np.zeros(shared, np.int64)
+    level[:keyframes] = number & -number
+    begin, end = np.full(shared, keyframes + 1), np.zeros(shared, np.int64)
+    begin[:keyframes] = end[:keyframes] = number
+    to_marks = pairs[:, 1] >= keyframes
+    seen_at = pairs[to_marks, 0] + 1
+    np.minimum.at(begin, pairs[to_marks, 1], seen_at)
+    np.maximum.at(end, pairs[to_marks, 1], seen_at)
+    matched = pairs[~to_marks]
+    for one, other in (matched.T, matched.T[::-1]):
+        np.minimum.at(begin, one, other + 1)
+        np.maximum.at(end, one, other + 1)
+    # Only the earlier keyframe of a match is put off.
+    begin[np.setdiff1d(matched[:, 1], matched[:, 0])] = 0
+    spans = (begin > 0) & (begin <= end) & ((begin < end) | (np.arange(shared) >= keyframes))
+    # The number in [begin, end] that two divides most often.
+    differing = (begin[spans] - 1) ^ end[spans]
+    high = np.floor(np.log2(differing)).astype(np.int64)
+    cut = (end[spans] >> high) << high
+    level[spans] = np.maximum(level[spans], cut & -cut)
+    is_keyframe = np.arange(shared) < keyframes
+    order = np.lexsort((is_keyframe, level)).tolist()
+    return gtsam.Ordering([*order, shared] if calibrated else order)
 
 
 def _with_covariances(

@@ -16,6 +16,7 @@ from fgloc.core.robot import Robot
 from fgloc.factors.robust import PLAIN, Loss
 from fgloc.factors.slip import slip_effect
 from fgloc.factors.tables import FactorTable, Kind
+from fgloc.smoothing.scene import Scene
 
 FIXES = (Kind.POSITION_FIX, Kind.POSE_FIX)
 """Factors that tell where the robot is in the map."""
@@ -84,6 +85,8 @@ class Problem:
     """First of the state columns of the driven wheels' slips; -1 where none are modelled."""
     landmarks: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     """(L, 2) first guess of the landmarks, as their kernels mean them: points first, then walls."""
+    scene: Scene | None = None
+    """The lidar's segments, and which walls they are of; None without a lidar."""
     marks: Stamps = field(default_factory=lambda: np.zeros(0, np.int64))
     """(M,) identities of the point landmarks, in the order of `landmarks`."""
 
@@ -137,6 +140,7 @@ class Problem:
             turn=self.turn[begin : end - 1],
             turn_spread=self.turn_spread[begin : end - 1],
             landmarks=np.zeros((0, 2)),
+            scene=None,
         )
 
     def with_state_prior(self, state: Floats, covariance: Floats) -> Problem:

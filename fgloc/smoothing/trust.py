@@ -10,8 +10,11 @@ import numpy as np
 from fgloc.core.drive import Drive
 from fgloc.core.kinematics import Parameter
 from fgloc.core.measurements import Floats, Yaw, YawRate
+from fgloc.core.start import trim_to_truth
 from fgloc.factors.tables import Kind
 from fgloc.smoothing.build import build_problem
+from fgloc.smoothing.front import Front, look_around
+from fgloc.smoothing.mapping import solve_with_walls
 from fgloc.smoothing.optimise import Solution, optimise
 from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.settings import Settings
@@ -69,9 +72,11 @@ def pulled(parameters: Sequence[Parameter], u: Floats, covariance: Floats | None
     return max(pulls, default=0.0)
 
 
-def _solve(drive: Drive, settings: Settings) -> tuple[Problem, Solution]:
+def _solve(drive: Drive, settings: Settings, front: Front | None) -> tuple[Problem, Solution]:
     """Solve a drive with all its sensors, without slip."""
-    problem = build_problem(drive, settings)
+    problem = build_problem(drive, settings, front)
+    if front is not None and front.segments.scan.size:
+        return solve_with_walls(problem, front, settings)
     return problem, optimise(problem, settings)
 
 
@@ -83,7 +88,9 @@ def solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Solutio
     the wheels contradict, and after one that fixes or camera contradict. Costs one more solve a
     heading sensor, and only in a strained drive.
     """
-    problem, solution = _solve(drive, settings)
+    drive = trim_to_truth(drive)
+    front = look_around(drive)
+    problem, solution = _solve(drive, settings, front)
     notes: dict[str, str] = {}
     looked = False
     suspects = [s.sensor for s in drive.sensors if isinstance(s, Yaw | YawRate)]
@@ -95,7 +102,7 @@ def solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Solutio
         if before < STRAINED and far < STRETCHED:
             break
         less = replace(drive, sensors=tuple(s for s in drive.sensors if s.sensor != suspect))
-        other, trial = _solve(less, settings)
+        other, trial = _solve(less, settings, front)
         after = strain(trial)
         if before >= STRAINED and after < GAIN * before:
             notes[suspect] = (

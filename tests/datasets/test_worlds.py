@@ -112,6 +112,16 @@ def test_the_packaged_worlds_are_those_in_the_folder() -> None:
     assert sorted(p.stem for p in folder.glob("*.toml")) == sorted(NAMES)
 
 
+def test_the_world_in_the_documentation_can_be_toured(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "worlds.md").read_text()
+    (tmp_path / "a.toml").write_text(text.partition("```toml\n")[2].partition("```")[0])
+    world = load_world(tmp_path / "a.toml")
+    assert (world.laps, int(world.curved.sum())) == (("along", "sideways"), 28)
+    assert plan(world, LIMITS, None).profile.duration_s > 20
+    for name in NAMES:
+        assert f"| `{name}` |" in text
+
+
 def test_a_tour_cuts_its_corners_and_closes(tmp_path: Path) -> None:
     tour = plan(made(tmp_path, ""), LIMITS, None)
     steps, start = tour.displacements(0.005, math.ceil(tour.profile.duration_s / 0.005))

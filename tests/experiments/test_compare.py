@@ -223,8 +223,6 @@ def test_method_ids() -> None:
     assert parse_methods("model1, batch,model1") == ("model1", "batch")
     for method in available():
         assert create(method).method == method
-    with pytest.raises(FglocError, match="ekf-slam is not available yet"):
-        parse_methods("model1,ekf-slam")
     with pytest.raises(FglocError, match="unknown method 'model9'"):
         parse_methods("model9")
     with pytest.raises(FglocError, match="no method is named"):

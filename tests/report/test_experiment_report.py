@@ -49,6 +49,12 @@ SPREAD = Distribution(0.010, 0.002, 0.020, 200)
         (Cell(SPREAD, 3, 0.160, "too much"), Verdict.EXPLAINED),
         (Cell(None, 3, 0.160), Verdict.MISSING),
         (Cell(float("nan"), 3, 0.160), Verdict.FAILED),
+        (Cell(0.06, 3, target=0.06), Verdict.MET),
+        (Cell(0.0604, 2, target=0.06), Verdict.MISSED),  # although it is shown as 0.06
+        (Cell(SPREAD, 3, target=0.020), Verdict.MET),
+        (Cell(SPREAD, 3, target=0.019), Verdict.MISSED),
+        (Cell(float("nan"), 3, target=1.0), Verdict.MISSED),
+        (Cell(None, 3, target=1.0), Verdict.MISSING),
     ],
 )
 def test_verdict(cell: Cell, verdict: Verdict | None) -> None:
@@ -154,6 +160,29 @@ def test_json() -> None:
     }
     assert rows[2]["cells"]["batch"] == {"text": "no sensor"}
     assert document["data"] == {"raw": [None]}
+
+
+def test_targets_stand_beside_published_numbers() -> None:
+    columns = (Column("ate", "position", "m"), Column("n", "number"))
+    rows = (
+        Row(("batch",), {"ate": Cell(0.05, 3, target=0.06), "n": Cell(2.0, 0, 2.0)}),
+        Row(("filter",), {"ate": Cell(0.2, 3)}),
+        Row(("online",), {"ate": Cell(0.2, 3, target=0.06)}),
+    )
+    found = Report("A title", (Table("t", "A table", ("method",), columns, rows),))
+    text = plain_text(found)
+    assert re.search(r"at most +position\nmethod +\[m\] +\[m\] +published +number +verdict", text)
+    assert re.search(r"batch +0\.06 +0\.050 +2 +2 +position: target met; number: reproduced", text)
+    assert re.search(r"filter +0\.200 *\n", text)
+    assert re.search(r"online +0\.06 +0\.200 +target MISSED", text)
+    assert (
+        "Of 1 published numbers: 1 reproduced; of 2 targets: 1 target met, 1 target MISSED." in text
+    )
+    page = html(found, [], "0")
+    assert '<td class="left bad">target MISSED</td>' in page
+    assert '<td class="left good">position: target met; number: reproduced</td>' in page
+    cells = report_json("x", found)["tables"][0]["rows"][2]["cells"]
+    assert cells["ate"] == {"value": 0.2, "target": 0.06, "verdict": "target MISSED"}
 
 
 def test_run_folder(tmp_path: Path) -> None:

@@ -124,7 +124,7 @@ def test_plain_tables_are_whole_and_say_everything(comparison: Comparison) -> No
 
 
 def test_run_folder_holds_everything(comparison: Comparison, tmp_path: Path) -> None:
-    folder = write_run(comparison, tmp_path, "compare", {"fixes": "10:0.01"})
+    folder, _ = write_run(comparison, tmp_path, "compare", {"fixes": "10:0.01"})
     assert (tmp_path / "latest").resolve() == folder.resolve()
     settings = json.loads((folder / "settings.json").read_text())
     assert settings["command"] == "compare"

@@ -1,0 +1,235 @@
+"""Walls in the batch graph: from scans that lie on each other to walls seen again and again.
+
+First the scans themselves hold the drive together: each matched to those before it, and to those
+of an earlier visit where the robot came back. On the path that this gives segments are associated
+to walls, and walls replace the matches wherever they tell as much: what is left of the drift then
+goes, since a wall is one for the whole drive. Associating and solving alternate until they agree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fgloc.core.geometry import between, compose, inverse
+from fgloc.core.measurements import Floats, Stamps
+from fgloc.factors.robust import PLAIN
+from fgloc.factors.tables import FactorTable, Kind
+from fgloc.lidar.association import Slack, associate, duplicates, lidar_poses, single_noise
+from fgloc.lidar.walls import Map, Marks, Walls
+from fgloc.smoothing.front import Front
+from fgloc.smoothing.minimise import Point, minimise
+from fgloc.smoothing.optimise import Solution, finish
+from fgloc.smoothing.problem import Problem
+from fgloc.smoothing.scene import Scene
+from fgloc.smoothing.settings import Settings
+
+ROUNDS = (
+    Slack(0.10, 0.015),
+    Slack(0.05, 0.008),
+    Slack(0.03, 0.005),
+    Slack(0.02, 0.004),
+    Slack(0.02, 0.004),
+)
+"""How far poses may be off while segments are associated, round by round."""
+FEWEST = 5
+"""A wall seen less often is none: a door that moved, a person."""
+UNSURE = np.radians(1.0)
+"""A wall whose direction is not known to this sigma [rad] is not drawn in the map."""
+CROSSING = 0.3
+"""Two shared walls that cross at an angle whose sine is this large tell how two scans lie."""
+WORST = 13.8
+"""Squared normalised residual (99.9 % of two numbers) beyond which a sighting is given up."""
+ROUGH = 1e-4
+"""Relative decrease at which a round before the last is over."""
+
+
+def solve_with_walls(
+    problem: Problem, front: Front, settings: Settings
+) -> tuple[Problem, Solution]:
+    """Return the problem with walls, and its solution.
+
+    O(N) a round but for the association, O(segments · walls).
+    """
+    scene = problem.scene
+    assert scene is not None
+    rough = replace(settings, tolerance=ROUGH)
+    strong = np.zeros(front.chain.relative.shape[0], bool)
+    closed = np.zeros(front.closures.first.size, bool)
+    matched = _with_matches(problem, front, scene, strong, closed, settings)
+    states = _laid_out(problem, front, scene)
+    u = np.zeros(len(problem.parameters))
+    point, iterations, converged = minimise(matched, rough, states, u, settings.robust)
+    graph, walls = matched, None
+    wall = np.full(scene.segments.scan.size, -1, np.int64)
+    for slack in ROUNDS:
+        before = wall
+        walls, wall = _associated(scene, point, slack, walls)
+        if not walls.normal.size:
+            break
+        now, landmarks = scene.with_walls(walls, wall)
+        strong, closed = _told_by_walls(scene, front, walls, wall)
+        graph = _with_matches(problem, front, scene, strong, closed, settings)
+        graph = replace(
+            graph,
+            tables=(*graph.tables, now.table(settings.landmark_loss if settings.robust else PLAIN)),
+            landmarks=np.concatenate([problem.landmarks, landmarks]),
+            scene=now,
+        )
+        settled = wall.size == before.size and bool(np.array_equal(wall, before))
+        point, count, converged = minimise(
+            graph,
+            settings if settled or slack is ROUNDS[-1] else rough,
+            point.states,
+            point.u,
+            settings.robust,
+            landmarks=graph.landmarks,
+        )
+        iterations += count
+        scene = now
+        walls = scene.walls(point.landmarks, None, point.states[:, :3])
+        if settled:
+            break
+    graph, pruned = _pruned(graph, point)
+    if pruned:
+        point, count, converged = minimise(
+            graph, settings, point.states, point.u, settings.robust, landmarks=point.landmarks
+        )
+        iterations += count
+    stopped = "the cost falls no further" if converged else "no step lowers the cost"
+    return graph, finish(graph, settings, point, iterations, converged, stopped)
+
+
+def _pruned(graph: Problem, point: Point) -> tuple[Problem, int]:
+    """Return the graph without sightings that contradict their wall, and how many those were."""
+    scene = graph.scene
+    assert scene is not None
+    of_walls = [k for k, t in enumerate(point.tables) if t.kind == Kind.WALL]
+    if not of_walls:
+        return graph, 0
+    wrong = point.linear[of_walls[0]].squared > WORST
+    wall = scene.wall.copy()
+    wall[np.flatnonzero(wall >= 0)[wrong]] = -1
+    left = np.bincount(wall[wall >= 0], minlength=scene.anchors.shape[0])
+    # A wall that all its sightings contradict stays: it must be determined, and says how badly.
+    wall = np.where((scene.wall >= 0) & (left[scene.wall] == 0), scene.wall, wall)
+    if np.array_equal(wall, scene.wall):
+        return graph, 0
+    now = replace(scene, wall=wall)
+    loss = point.tables[of_walls[0]].loss
+    tables = [now.table(loss) if t.kind == Kind.WALL else t for t in graph.tables]
+    return replace(graph, tables=tuple(tables), scene=now), int(np.sum(wall != scene.wall))
+
+
+def map_of(problem: Problem, solution: Solution) -> Map | None:
+    """Return what a solution says of the surroundings; None where no sensor saw any."""
+    scene, point = problem.scene, solution.point
+    marks = None
+    if problem.marks.size:
+        n = problem.marks.size
+        covariance = solution.landmark_covariance
+        seen = [np.asarray(t.second) for t in problem.tables if t.kind == Kind.RANGE_BEARING]
+        marks = Marks(
+            problem.marks,
+            point.landmarks[:n],
+            np.full((n, 2, 2), np.nan) if covariance is None else covariance[:n],
+            np.bincount(np.concatenate(seen), minlength=n)[:n].astype(np.int64),
+        )
+    if scene is None:
+        return None if marks is None else Map(marks=marks)
+    walls = scene.walls(point.landmarks, solution.landmark_covariance, point.states[:, :3])
+    unsure = walls.covariance[:, 0, 0] > UNSURE**2
+    place = np.where(unsure, -1, np.cumsum(~unsure) - 1)
+    wall = np.where(scene.wall >= 0, place[scene.wall], -1)
+    walls = walls.select(np.flatnonzero(~unsure))
+    # A map's segments say which of the drive's scans they are of, not which of those in use.
+    segments = replace(scene.segments, scan=scene.numbers[scene.segments.scan])
+    return Map(walls, segments, wall, marks)
+
+
+def _laid_out(problem: Problem, front: Front, scene: Scene) -> Floats:
+    """Return first states (K, B) along the matched scans, wheels between them."""
+    states = problem.states.copy()
+    mount = np.array(scene.scans.mount)
+    start = compose(states[scene.at[0], :3], mount)
+    base = compose(compose(start, front.closures.poses), inverse(mount))
+    dead = states[:, :3].copy()
+    nearest = np.searchsorted(scene.at, np.arange(states.shape[0]), side="right") - 1
+    moved = nearest >= 0
+    since = scene.at[nearest[moved]]
+    states[moved, :3] = compose(base[nearest[moved]], between(dead[since], dead[moved]))
+    return states
+
+
+def _with_matches(
+    problem: Problem,
+    front: Front,
+    scene: Scene,
+    strong: Stamps,
+    closed: Stamps,
+    settings: Settings,
+) -> Problem:
+    """Return the problem with scan matches: not between `strong` steps, nor `closed` closures."""
+    chain, closures = front.chain, front.closures
+    steps = np.flatnonzero(chain.matched & ~strong)
+    loops = np.flatnonzero(~closed)
+    first = np.concatenate([steps, closures.first[loops]]).astype(np.int64)
+    second = np.concatenate([steps + 1, closures.second[loops]]).astype(np.int64)
+    if not first.size:
+        return problem
+    relative = np.concatenate([chain.relative[steps], closures.relative[loops]])
+    covariance = np.concatenate([chain.covariance[steps], closures.covariance[loops]])
+    mount = np.broadcast_to(np.array(scene.scans.mount), (first.size, 3))
+    table = FactorTable(
+        Kind.SCAN_MATCH,
+        scene.scans.sensor,
+        scene.at[first],
+        np.concatenate([relative, mount], axis=1),
+        np.linalg.inv(np.linalg.cholesky(covariance)),
+        scene.block,
+        settings.landmark_loss if settings.robust else PLAIN,
+        second=scene.at[second],
+    )
+    return replace(problem, tables=(*problem.tables, table))
+
+
+def _associated(
+    scene: Scene, point: Point, slack: Slack, known: Walls | None
+) -> tuple[Walls, Stamps]:
+    """Return walls and the one of each segment (M,), at a solution.
+
+    Duplicates are joined, walls that were seen too seldom are dropped.
+    """
+    poses = lidar_poses(point.states[scene.at, :3], scene.scans.mount)
+    walls, wall = associate(scene.segments, poses, slack, known)
+    noise = single_noise(scene.segments, wall, walls.normal.size)
+    same = duplicates(walls, slack, noise)
+    wall = np.where(wall >= 0, same[wall], -1)
+    sightings = np.bincount(wall[wall >= 0], minlength=walls.normal.size)
+    kept = np.flatnonzero(sightings >= FEWEST)
+    place = np.full(walls.normal.size, -1, np.int64)
+    place[kept] = np.arange(kept.size)
+    wall = np.where(wall >= 0, place[wall], -1)
+    walls = replace(walls.select(kept), sightings=sightings[kept].astype(np.int64))
+    return walls, wall
+
+
+def _told_by_walls(scene: Scene, front: Front, walls: Walls, wall: Stamps) -> tuple[Stamps, Stamps]:
+    """Return (N-1,), (C,): between which scans walls tell as much as their match does."""
+    seen: list[set[int]] = [set() for _ in range(scene.at.size)]
+    for scan, number in zip(scene.segments.scan.tolist(), wall.tolist(), strict=True):
+        if number >= 0:
+            seen[scan].add(number)
+
+    def told(i: int, j: int) -> bool:
+        shared = np.array(sorted(seen[i] & seen[j]), dtype=np.int64)
+        if shared.size < 2:
+            return False
+        normal = walls.normal[shared]
+        return bool(np.abs(np.sin(normal[:, None] - normal[None])).max() > CROSSING)
+
+    steps = [told(k, k + 1) for k in range(scene.at.size - 1)]
+    pairs = zip(front.closures.first.tolist(), front.closures.second.tolist(), strict=True)
+    loops = [told(i, j) for i, j in pairs]
+    return np.array(steps, dtype=np.bool_), np.array(loops, dtype=np.bool_)

@@ -1,0 +1,104 @@
+"""What the graph knows of a lidar's surroundings: which segment is which wall."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fgloc.core.geometry import wrap
+from fgloc.core.measurements import Floats, Scans, Stamps
+from fgloc.factors.robust import Loss
+from fgloc.factors.tables import FactorTable, Kind
+from fgloc.lidar.association import lidar_poses
+from fgloc.lidar.segments import Segments
+from fgloc.lidar.walls import Walls
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The segments of a drive as part of its graph."""
+
+    scans: Scans
+    """The scans that are used."""
+    numbers: Stamps
+    """(N,) which of the drive's scans they are."""
+    segments: Segments
+    """Straight walls in them."""
+    at: Stamps
+    """(N,) keyframe of each scan."""
+    block: slice
+    """Columns of the lidar's mounting in the calibration; empty where it is known exactly."""
+    first: int
+    """Place of the first wall among the landmarks."""
+    wall: Stamps
+    """(M,) wall of each segment, -1 for none."""
+    anchors: Floats
+    """(L, 2) anchors of the walls [m], map axes."""
+
+    def table(self, loss: Loss) -> FactorTable:
+        """Return one factor for each segment that belongs to a wall."""
+        used = np.flatnonzero(self.wall >= 0)
+        seen = self.segments.select(used)
+        wall = self.wall[used]
+        mount = np.broadcast_to(np.array(self.scans.mount), (used.size, 3))
+        rows = np.concatenate(
+            [seen.normal[:, None], seen.middle, self.anchors[wall], mount], axis=1
+        )
+        return FactorTable(
+            Kind.WALL,
+            self.scans.sensor,
+            self.at[seen.scan],
+            rows,
+            np.linalg.inv(np.linalg.cholesky(seen.covariance)),
+            self.block,
+            loss,
+            second=self.first + wall,
+        )
+
+    def walls(
+        self,
+        landmarks: Floats,
+        covariance: Floats | None,
+        poses: Floats,
+        given: Stamps | None = None,
+    ) -> Walls:
+        """Return the walls at a solution: landmarks (…, 2) and their covariances, poses (K, 3).
+
+        `given` replaces which wall each segment shows (M,).
+        """
+        wall = self.wall if given is None else given
+        count = self.anchors.shape[0]
+        mine = landmarks[self.first : self.first + count]
+        normal = wrap(mine[:, 0])
+        used = np.flatnonzero(wall >= 0)
+        seen, of = self.segments.select(used), wall[used]
+        lidar = lidar_poses(poses[self.at[seen.scan]], self.scans.mount)
+        c, s = np.cos(lidar[:, 2]), np.sin(lidar[:, 2])
+        there = lidar[:, :2] + np.stack(
+            [
+                c * seen.middle[:, 0] - s * seen.middle[:, 1],
+                s * seen.middle[:, 0] + c * seen.middle[:, 1],
+            ],
+            axis=1,
+        )
+        tangent = np.stack([-np.sin(normal), np.cos(normal)], axis=1)
+        along = np.einsum("mk,mk->m", there - self.anchors[of], tangent[of])
+        reach = np.stack([np.full(count, np.inf), np.full(count, -np.inf)], axis=1)
+        np.minimum.at(reach[:, 0], of, along + seen.reach[:, 0])
+        np.maximum.at(reach[:, 1], of, along + seen.reach[:, 1])
+        reach[~np.isfinite(reach)] = 0.0
+        unknown = np.full((count, 2, 2), np.nan)
+        return Walls(
+            normal,
+            mine[:, 1].copy(),
+            self.anchors,
+            reach,
+            unknown if covariance is None else covariance[self.first : self.first + count],
+            np.bincount(of, minlength=count).astype(np.int64),
+        )
+
+    def with_walls(self, walls: Walls, wall: Stamps) -> tuple[Scene, Floats]:
+        """Return the scene with these walls, and their landmarks (L, 2)."""
+        landmarks = np.stack([walls.normal, walls.offset], axis=1)
+        return replace(self, wall=wall, anchors=walls.anchor), landmarks
