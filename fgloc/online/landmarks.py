@@ -96,7 +96,7 @@ def informed(
     rows = triangle(np.column_stack([np.concatenate([root, more]), right]))
     n = offset.size
     left = np.ascontiguousarray(rows[:n, :n])
-    return joined(prior, state, at, np.linalg.solve(left, rows[:n, n]), left)
+    return joined(prior, state, at, np.asarray(np.linalg.solve(left, rows[:n, n])), left)
 
 
 def put_aside(
@@ -117,7 +117,7 @@ def put_aside(
     rows = triangle(np.column_stack([root[:, columns], root[:, rest], right]))
     aside.put(numbers, columns, rows[:q, :q], rows[:q, q:-1], rows[:q, -1])
     left = np.ascontiguousarray(rows[q : q + rest.size, q:-1])
-    step = np.linalg.solve(left, rows[q : q + rest.size, -1])
+    step: Floats = np.linalg.solve(left, rows[q : q + rest.size, -1])
     landmarks.drop(numbers)
     keep = np.setdiff1d(np.arange(border.size), own)
     return joined(prior, state, border[keep], step, left), keep

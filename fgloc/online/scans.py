@@ -334,4 +334,5 @@ class ScanTable:
 
 def turn_ns(scans: Scans) -> int:
     """Return how long a scan takes [ns]."""
-    return round(scans.beam_period * 1e9 * scans.ranges.shape[1])
+    turn: int = round(scans.beam_period * 1e9 * scans.ranges.shape[1])
+    return turn

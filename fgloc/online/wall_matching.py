@@ -338,7 +338,8 @@ def _square(
     det = s[0, 0] * s[1, 1] - s[0, 1] * s[1, 0]
     if not det > 0.0:
         return np.inf
-    return (s[1, 1] * r[0] * r[0] - 2.0 * s[0, 1] * r[0] * r[1] + s[0, 0] * r[1] * r[1]) / det
+    square = s[1, 1] * r[0] * r[0] - 2.0 * s[0, 1] * r[0] * r[1] + s[0, 0] * r[1] * r[1]
+    return float(square / det)
 
 
 @compiled
