@@ -42,9 +42,7 @@ def test_newest_pose_is_as_exact_as_batch(seen: tuple[Drive, Floats], short: Res
     whole = BatchSmoother(OnlineSettings(calibration_walk=0.0)).estimate(seen[0]).trajectory
     assert whole.covariances is not None and short.trajectory.covariances is not None
     sigma = np.sqrt(np.diag(whole.covariances[-1]))
-    np.testing.assert_allclose(
-        np.sqrt(np.diag(short.trajectory.covariances[-1])), sigma, rtol=0.02
-    )
+    np.testing.assert_allclose(np.sqrt(np.diag(short.trajectory.covariances[-1])), sigma, rtol=0.02)
     assert (np.abs(short.trajectory.poses[-1] - whole.poses[-1]) < 0.3 * sigma).all()
 
 
