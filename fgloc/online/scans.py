@@ -27,7 +27,8 @@ from fgloc.online.live_table import LiveTable
 from fgloc.online.propagate import moved_from
 from fgloc.online.spots import LATE, MapHost
 from fgloc.online.tentative import Sighting, Tentative
-from fgloc.online.wall_matching import DOUBTFUL, NEAR, NONE, SURE, Gates, match, possible
+from fgloc.online.wall_matching import SURE, Gates, match, possible
+from fgloc.online.wall_pairs import DOUBTFUL, NEAR, NONE
 
 WAY_M, TURN, REST_NS = 0.15, 0.12, 1_000_000_000
 """A scan is used after so much way [m], turn [rad] or time [ns] since the last one."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fgloc.core.measurements import Floats
+from fgloc.factors.tables import FactorTable
 from fgloc.online.aside import Aside
 from fgloc.online.landmarks import Landmarks, informed, put_aside, split, take_back
 from fgloc.online.priors import after_walk, prior_table
@@ -24,7 +25,7 @@ def root(p: Floats) -> Floats:
     return triangle(np.linalg.inv(np.linalg.cholesky(p)))
 
 
-def known(seed: int, landmarks: int = 4):  # type: ignore[no-untyped-def]
+def known(seed: int, landmarks: int = 4) -> tuple[FactorTable, Landmarks, Floats, Floats]:
     """Return a prior of state, parameters and landmarks in use, with its covariance and mean."""
     rng = np.random.default_rng(seed)
     n = G + 2 * landmarks
@@ -41,7 +42,8 @@ def test_a_landmark_put_aside_and_fetched_again_leaves_the_prior_as_it_was() -> 
     """The joint information of everything is the same, up to the order of the columns."""
     prior, marks, p, offset = known(0)
     less, keep = put_aside(prior, marks, [1, 3])
-    assert marks.used == [0, 2] and marks.aside.numbers == [1, 3]
+    assert marks.used == [0, 2]
+    assert marks.aside.numbers == [1, 3]
     assert keep.tolist() == [0, 1, 2, 3, 6, 7]
     own = np.append(np.arange(B), B + keep)
     left = np.linalg.inv(less.sqrt_information[0])
@@ -60,7 +62,7 @@ def test_marginals_of_landmarks_aside_are_those_of_the_joint_distribution() -> N
     """Given the covariance of the rest: gain, noise and what they share."""
     prior, marks, p, offset = known(1)
     less, keep = put_aside(prior, marks, [0])
-    less, keep = put_aside(less, marks, [2, 3])
+    less, _keep = put_aside(less, marks, [2, 3])
     left = np.linalg.inv(less.sqrt_information[0])
     columns = B + G + np.array([0, 1, 4, 5, 6, 7])
     whole = marks.aside.whole(left @ left.T)
@@ -76,7 +78,7 @@ def test_marginals_of_landmarks_aside_are_those_of_the_joint_distribution() -> N
 def test_stepping_on_and_new_information_agree_with_a_dense_graph() -> None:
     """x hangs on s0; s0 is eliminated for s1; then s1 is measured: against one dense solve."""
     rng = np.random.default_rng(2)
-    prior, marks, p, _ = known(2, landmarks=2)
+    prior, marks, _p, _ = known(2, landmarks=2)
     prior = prior_table(np.zeros(B), np.zeros(G + 4), prior.sqrt_information[0])
     less, _ = put_aside(prior, marks, [1])
     n = less.calibration.stop
@@ -148,7 +150,7 @@ def test_measuring_deviations_from_elsewhere_changes_nothing() -> None:
 def test_information_on_the_border_is_that_of_a_dense_solve() -> None:
     """One more residual on the border, at a point that is not the prior's."""
     rng = np.random.default_rng(5)
-    prior, _, p, offset = known(5, landmarks=1)
+    prior, _, _p, offset = known(5, landmarks=1)
     by, r, at = rng.normal(size=(2, G + 2)), rng.normal(size=2), rng.normal(size=G + 2)
     more = informed(prior, B, at, r, by)
     # In deviations d from the prior's point: by (d - at) = -r.

@@ -40,7 +40,8 @@ def short(seen: tuple[Drive, Floats]) -> Result:
 def test_newest_pose_is_as_exact_as_batch(seen: tuple[Drive, Floats], short: Result) -> None:
     """A window of 3 s with all else put aside knows at the end what the whole graph knows."""
     whole = BatchSmoother(OnlineSettings(calibration_walk=0.0)).estimate(seen[0]).trajectory
-    assert whole.covariances is not None and short.trajectory.covariances is not None
+    assert whole.covariances is not None
+    assert short.trajectory.covariances is not None
     sigma = np.sqrt(np.diag(whole.covariances[-1]))
     np.testing.assert_allclose(np.sqrt(np.diag(short.trajectory.covariances[-1])), sigma, rtol=0.02)
     assert (np.abs(short.trajectory.poses[-1] - whole.poses[-1]) < 0.3 * sigma).all()
@@ -48,7 +49,8 @@ def test_newest_pose_is_as_exact_as_batch(seen: tuple[Drive, Floats], short: Res
 
 def test_marks_are_where_they_are(seen: tuple[Drive, Floats], short: Result) -> None:
     """Each within four of its own sigmas, and all of them as uncertain as they should be."""
-    assert short.map is not None and short.map.marks is not None
+    assert short.map is not None
+    assert short.map.marks is not None
     marks, points = short.map.marks, seen[1]
     error = marks.positions - points[marks.landmark]
     whitened = np.linalg.solve(marks.covariance, error[..., None])[..., 0]
@@ -66,8 +68,10 @@ def test_surveyed_marks_tell_where_the_robot_is() -> None:
     assert drive.truth is not None
     scored = evaluate(result.trajectory, drive.truth)
     assert scored.ate_rmse_m < 0.1
-    assert scored.nees is not None and 1.5 < scored.nees < 5.0
-    assert result.map is not None and result.map.marks is not None
+    assert scored.nees is not None
+    assert 1.5 < scored.nees < 5.0
+    assert result.map is not None
+    assert result.map.marks is not None
     found = result.map.marks
     np.testing.assert_allclose(found.positions, points[found.landmark], atol=0.04)
 
@@ -81,7 +85,8 @@ def test_a_restored_engine_goes_on_to_the_last_bit(
     engine = engine_for(drive, SHORT)
     for packet in sent[:700]:
         feed(engine, packet)
-    assert engine.window.landmarks.aside.numbers and engine.window.landmarks.used
+    assert engine.window.landmarks.aside.numbers
+    assert engine.window.landmarks.used
     save(engine, tmp_path / "state.npz")
     other = restore(
         tmp_path / "state.npz",
@@ -133,7 +138,8 @@ def test_a_window_that_is_given_up_keeps_its_landmarks(seen: tuple[Drive, Floats
     dropped = engine.map_smoother.abandon(engine.now_ns, engine.propagation.state, joint)
     engine._settle(dropped)
     sound(engine)
-    assert len(engine.window.landmarks.aside.numbers) == known and not engine.window.landmarks.used
+    assert len(engine.window.landmarks.aside.numbers) == known
+    assert not engine.window.landmarks.used
     # What they have in common is lost, and allowed for.
     np.testing.assert_allclose(engine.propagation.covariance(), 2.0 * before, rtol=0.2)
     run(engine, sent[500:], every=10)

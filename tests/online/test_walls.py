@@ -41,8 +41,10 @@ def test_a_room_is_mapped_while_the_robot_is_localised_in_it(drive: Drive, resul
     assert drive.truth is not None
     scored = evaluate(result.trajectory, drive.truth)
     assert scored.ate_rmse_m < 0.03
-    assert scored.nees is not None and scored.nees < 6.0
-    assert result.map is not None and result.map.walls is not None
+    assert scored.nees is not None
+    assert scored.nees < 6.0
+    assert result.map is not None
+    assert result.map.walls is not None
     walls = result.map.walls
     # The outer walls of datasets/worlds/seed-b-room.toml: x = 0 and 6, y = 0 and 5, seen from
     # inside: normals 0, 180, 90 and -90 degrees; the feet of the lines in the map.
@@ -56,7 +58,8 @@ def test_a_room_is_mapped_while_the_robot_is_localised_in_it(drive: Drive, resul
 
 def test_no_wall_is_mapped_twice(result: Result) -> None:
     """No two lines are the same within 5 cm and 3 degrees and overlap."""
-    assert result.map is not None and result.map.walls is not None
+    assert result.map is not None
+    assert result.map.walls is not None
     walls = result.map.walls
     ends = walls.ends
     for a in range(walls.normal.size):
@@ -100,7 +103,8 @@ def test_without_walls_there_is_odometry(drive: Drive, fault: str) -> None:
     np.testing.assert_allclose(poses[own], alone, atol=1e-6)
     engine.finish()
     tally = engine.tally["lidar"]
-    assert tally.count().accepted == 0 and sum(tally.rejected.values()) > 0
+    assert tally.count().accepted == 0
+    assert sum(tally.rejected.values()) > 0
     assert set(tally.rejected) <= {"no beam returned", "no wall in it", SELDOM}
 
 
