@@ -118,8 +118,8 @@ def detection_table() -> Table:
         ),
         tuple(rows),
         (
-            "P of a draw: that 21 of 25 beams are within 15 mm of the true wall. A draw here: within "
-            "15 mm of the line fitted to them, in the middle of the wall; - where fewer meet it.",
+            "P of a draw: that 21 of 25 beams are within 15 mm of the true wall. A draw here: of "
+            "the line fitted to them, in the middle of the wall; - where fewer beams meet it.",
             f"Found: in how many of {TRIALS} scans there is a line, by {settings.attempts} draws "
             "among all beams, and by the default extractor.",
         ),

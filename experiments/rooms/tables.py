@@ -97,7 +97,7 @@ def map_table(world: str, scores: Scores) -> Table:
             Column("rms", "distance RMS", "cm"),
             Column("worst", "worst wall", "cm"),
             Column("direction", "direction RMS", "deg"),
-            Column("worst_direction", "worst wall ", "deg"),
+            Column("worst_direction", "worst direction", "deg"),
             Column("within", f"within {WALL_CM:g} cm, {WALL_DEG:g}°", "%"),
             Column("short", "short ones: RMS", "cm"),
             Column("short_direction", "direction", "deg"),

@@ -37,6 +37,8 @@ class Rules(NamedTuple):
     range_sigma: float
     range_sigma_share: float
     bearing_sigma: float
+    min_range: float
+    max_range: float
     roughness_m: float
     flatness_m: float
     min_points: int
@@ -107,8 +109,8 @@ def room(beams: int) -> Beams:
 def gather(points: Floats, valid: npt.NDArray[np.bool_], rules: Rules, into: Beams) -> Beams:
     """Return the valid beams of a scan (B, 2), (B,) in order, as the first part of `into`.
 
-    A full turn begins behind the largest jump of the range, so that few walls lie across the
-    seam. Weights take how obliquely a beam meets its wall from the flatter side of its
+    A full turn begins behind missing beams or the largest jump of the range, so that few walls
+    lie across the seam. Weights take how obliquely a beam meets its wall from the flatter side of its
     neighbourhood, and grow where neighbours differ by more than the stated noise: SICK scanners
     take every other beam half a scan later, in which the robot has moved, and dark or shiny walls
     are noisier than others. O(B).
@@ -125,6 +127,10 @@ def gather(points: Floats, valid: npt.NDArray[np.bool_], rules: Rules, into: Bea
         for k in range(n):
             before, here = into.along[k - 1 if k > 0 else n - 1], into.along[k]
             jump = abs(here - before) / min(here, before)
+            apart = (into.label[k] - into.label[k - 1 if k > 0 else n - 1]) % rules.beams
+            if apart > rules.most_missing + 1:
+                # Nothing goes on here in any case.
+                jump = np.inf
             if jump > largest:
                 largest, start = jump, k
     for k in range(n):
@@ -133,7 +139,12 @@ def gather(points: Floats, valid: npt.NDArray[np.bool_], rules: Rules, into: Bea
         into.beam[k], into.r[k] = b, into.along[i]
         into.x[k], into.y[k] = points[b, 0], points[b, 1]
         into.ux[k], into.uy[k] = into.x[k] / into.r[k], into.y[k] / into.r[k]
-        into.breaks[k] = k == 0 or ((b - into.beam[k - 1]) % rules.beams > rules.most_missing + 1)
+        if k > 0:
+            missed = (b - into.beam[k - 1]) % rules.beams
+            into.breaks[k] = missed > rules.most_missing + 1
+    if n > 0:
+        missed = (into.beam[0] - into.beam[n - 1]) % rules.beams
+        into.breaks[0] = not rules.turn or missed > rules.most_missing + 1
     beams = Beams(
         into.beam[:n],
         into.x[:n],

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from fgloc.core.geometry import between, compose, wrap
 from fgloc.core.measurements import Floats
-from fgloc.lidar.correlative import field, search
-from fgloc.lidar.icp import UNKNOWN
+from fgloc.lidar import correlative
+from fgloc.lidar.icp import UNKNOWN, Indices
 from fgloc.lidar.matching import Match, MatchSettings, match, reference
 from fgloc.lidar.surfaces import Mask, ScanPoints, merge, thin
-
 
 NOT_KNOWN = (UNKNOWN, UNKNOWN, np.pi)
 """Standard deviations [m, m, rad] of a displacement where scans did not match."""
@@ -37,7 +36,7 @@ class ChainSettings:
     """Points up to this distance [m] count in the correlation that comes before the matching."""
     least_overlap: float = 0.15
     """A match with a smaller share of paired points is not believed: the guess stands in."""
-    matching: MatchSettings = MatchSettings()
+    matching: MatchSettings = field(default_factory=MatchSettings)
     """How points are matched at the end."""
 
 
@@ -69,7 +68,21 @@ class Chain:
         off = steps - self.relative
         off[:, 2] = wrap(off[:, 2])
         change = np.einsum("nij,njk,nk->ni", covariance, weight, off)
-        return self.relative + change, covariance
+        return np.asarray(self.relative + change), np.asarray(covariance)
+
+
+def key_scans(poses: Floats, distance: float = 0.25, turn: float = 0.15) -> Indices:
+    """Return the scans at which a path (N, 3) has gone on by `distance` [m] or `turn` [rad].
+
+    Ten scans a second of a slow robot see the same: matching all of them costs more and adds up
+    more errors than matching these. The first one is always among them. O(N).
+    """
+    chosen = [0] if len(poses) else []
+    for k in range(1, len(poses)):
+        moved = between(poses[chosen[-1]], poses[k])
+        if np.hypot(moved[0], moved[1]) >= distance or abs(wrap(moved[2])) >= turn:
+            chosen.append(k)
+    return np.array(chosen, np.int64)
 
 
 def match_chain(
@@ -116,9 +129,9 @@ def _to_map(
     coarse = thin(scan.select(near), 0.15)
     # Points far off say little of where the scan is that near ones do not, and cost a wide grid.
     around = np.hypot(*(local.points - guess[:2]).T) < settings.near + 1.0
-    likelihood = field(thin(local.select(around), 0.1))
+    likelihood = correlative.field(thin(local.select(around), 0.1))
     half = np.maximum(3.0 * sigma, (0.1, 0.1, 0.02))
-    pose, score = search(likelihood, coarse, guess, half, sigma=sigma)
+    pose, score = correlative.search(likelihood, coarse, guess, half, sigma=sigma)
     if score < 0.0:
         return None
     found = match(reference(local), scan, guess, settings.matching, pose)

@@ -17,6 +17,7 @@ import numpy as np
 from fgloc.core.geometry import between, chain, wrap
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
+from fgloc.lidar.chain import key_scans
 from fgloc.lidar.consistency import NEIGHBOURS, accumulate, agreement, largest_agreeing, supported
 from fgloc.lidar.correlative import Field, search
 from fgloc.lidar.correlative import field as likelihood
@@ -24,7 +25,7 @@ from fgloc.lidar.icp import Indices
 from fgloc.lidar.matching import MatchSettings, Reference, match, reference
 from fgloc.lidar.proposals import Uncertainty, propose
 from fgloc.lidar.relax import relax
-from fgloc.lidar.submaps import Submap, around, inverse_of, places, seen_through, submap
+from fgloc.lidar.submaps import Submap, around, inverse_of, seen_through, submap
 from fgloc.lidar.surfaces import Mask, ScanPoints, thin
 
 
@@ -64,7 +65,7 @@ class ClosureSettings:
     """How drift grows with the way from place to place."""
     lonely: float = 1.0
     """A closure with no companion is believed when drift cannot be more than this [m]."""
-    matching: MatchSettings = MatchSettings()
+    matching: MatchSettings = field(default_factory=MatchSettings)
     """How points are matched at the end."""
 
 
@@ -136,14 +137,14 @@ class _Search:
         self.chained = chain(steps, start) if len(scans) else np.zeros((0, 3))
         self.poses = self.chained
         self.travelled = np.concatenate([[0.0], np.cumsum(length)])
-        self.nodes = places(self.chained, settings.spacing, np.inf)
+        self.nodes = key_scans(self.chained, settings.spacing, np.inf)
         self.path = accumulate(steps, self.covariance, self.chained)
         self.maps: dict[int, _Place] = {}
         self.tried: dict[tuple[int, int], Floats] = {}
         self.found: list[tuple[int, int, Floats, Floats, float, float]] = []
-        self.rejected = {
-            k: 0 for k in ("weak", "ambiguous", "edge", "overlap", "through", "loop", "lonely")
-        }
+        self.rejected = dict.fromkeys(
+            ("weak", "ambiguous", "edge", "overlap", "through", "loop", "lonely"), 0
+        )
 
     def run(self) -> Closures:
         """Return what a few rounds find."""

@@ -8,7 +8,6 @@ within the covariance of its four parts. A wrong closure disagrees with nearly a
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from fgloc.core.compiled import compiled
 from fgloc.core.geometry import wrap_scalar
@@ -141,7 +140,7 @@ def supported(distance: Floats, first: Floats, second: Floats, reach: float) -> 
     """Return which closures (C,) have a companion: another one of nearly the same places.
 
     `first` and `second` (C,) are the path's lengths [m] at the closures' ends; both ends of a
-    companion are within `reach` [m], at least one of them elsewhere, and the two agree.
+    companion are within `reach` [m], and the two agree.
     """
     has = np.zeros(first.size, bool)
     one, d = np.nonzero(distance <= AGREE)

@@ -47,6 +47,17 @@ def across_variance(rules: Rules, r: float, cosine: float) -> float:
 
 
 @compiled
+def _cut(rules: Rules, r: float, excess: float) -> bool:
+    """Return whether a beam that meets its wall at r may be missing for its error alone.
+
+    Of beams near the longest range those that err to be longer are no returns: what is left is
+    too short on average. The same holds near the shortest range.
+    """
+    margin = 3.0 * np.sqrt(excess * (rules.range_sigma**2 + (rules.range_sigma_share * r) ** 2))
+    return bool(r + margin > rules.max_range or r - margin < rules.min_range)
+
+
+@compiled
 def _begin(first: int, last: int, piece: int, rules: Rules, beams: Beams, out: Floats) -> bool:
     """Write normal and a point of the line that is linear in 1/r; False if there is none."""
     ux, uy, r, label = beams.ux, beams.uy, beams.r, beams.label
@@ -118,7 +129,7 @@ def fit_line(first: int, last: int, piece: int, rules: Rules, beams: Beams, out:
             bent = 0.5 * rules.bearing_sigma**2 * seen
             h += bent * (2.0 / cosine - cosine)
             along[k], across[k], trust[k] = s, h, 1.0 / variance
-            if turn > 0 and h * h > limit * variance:
+            if turn > 0 and (h * h > limit * variance or _cut(rules, seen, beams.excess[k])):
                 trust[k] = 0.0
             else:
                 used += 1

@@ -18,6 +18,10 @@ CLUTTER = 0.1
 """Standard deviation [m] with which points of unknown surface attract one another."""
 CHANCE = 3
 """How many pairs of such points tell nothing."""
+CORRELATED = 2.0
+"""By how much the covariance is larger than the points' own noise makes it: what a turn of the
+lidar leaves in the scan, and pairs that are not of one place, are common to many of them. Measured
+on simulated drives, where errors of the matches have then the size they should."""
 UNKNOWN = 10.0
 """Standard deviation [m] that a direction gets which nothing constrains."""
 SETTLED = 0.01
@@ -208,11 +212,12 @@ def icp(
     iterations: int,
     covariance: Floats,
 ) -> tuple[Floats, int, int, float, int]:
-    """Fit the moving points to the reference from `start`; return (pose, paired, inliers, rms, iterations).
+    """Fit the moving points to the reference from `start`.
 
-    `gates` = (first, last) width of the search [m], halved step by step; the rms is in sigmas.
-    `iterations` comes back as the limit + 1 where it did not settle. The guess has
-    the information (3,), so that it counts in directions of which the points tell less. Writes the 3×3 covariance.
+    Returns (pose, paired, inliers, rms, iterations). `gates` = (first, last) width of the search
+    [m], narrowed step by step; the rms is in sigmas.
+    `iterations` comes back as the limit + 1 where it did not settle. The guess has the information
+    (3,), so that it counts in directions of which the points tell less. Writes the covariance.
     """
     n = moving.shape[0]
     pose = start.copy()
@@ -263,11 +268,12 @@ def icp(
             used = iteration + 1
             break
     rms = np.sqrt(squares / weights) if weights > 0.0 else np.nan
+    doubt = CORRELATED * (max(squares / weights, 1.0) if weights > 0.0 else 1.0)
     for a in range(3):
         for b in range(3):
             covariance[a, b] = 0.0
             for e in range(3):
-                v = max(rms, 1.0) ** 2 / max(values[e], 1e-9)
+                v = doubt / max(values[e], 1e-9)
                 v = min(v, UNKNOWN**2)
                 covariance[a, b] += v * vectors[a, e] * vectors[b, e] * scale[a] * scale[b]
     return pose, paired, inliers, rms, used

@@ -32,7 +32,7 @@ BLOCK = 4096
 class LineSettings:
     """What counts as a straight wall. The defaults hold for every lidar and drive here."""
 
-    min_points: int = 8
+    min_points: int = 10
     """Fewest beams that make a segment."""
     min_length_m: float = 0.5
     """Shortest segment [m]."""
@@ -119,6 +119,8 @@ def _rules(scans: Scans, beams: int, settings: LineSettings) -> Rules:
         range_sigma=float(scans.range_sigma),
         range_sigma_share=float(scans.range_sigma_share),
         bearing_sigma=float(scans.bearing_sigma),
+        min_range=float(scans.min_range),
+        max_range=float(scans.max_range),
         roughness_m=float(settings.roughness_m),
         flatness_m=float(settings.flatness_m),
         min_points=settings.min_points,

@@ -180,7 +180,7 @@ def difference(a: Floats, b: Floats, flatness: float) -> float:
     det = c00 * c11 - c01 * c01
     if not det > 0.0:
         return np.inf
-    return (turn * turn * c11 - 2.0 * turn * step * c01 + step * step * c00) / det
+    return float((turn * turn * c11 - 2.0 * turn * step * c01 + step * step * c00) / det)
 
 
 @compiled
@@ -194,7 +194,7 @@ def _gap(a: Floats, b: Floats) -> float:
         py = b[MIDDLE_Y] + reach * np.cos(b[NORMAL]) - a[MIDDLE_Y]
         s = py * nx - px * ny
         low, high = min(low, s), max(high, s)
-    return max(0.0, low - a[LEFT], a[RIGHT] - high)
+    return float(max(0.0, low - a[LEFT], a[RIGHT] - high))
 
 
 @compiled

@@ -38,7 +38,7 @@ def chi_square_bound(dof: int, sigmas: float) -> float:
     if dof < 1:
         return 0.0
     share = 2.0 / (9.0 * dof)
-    return dof * (1.0 - share + sigmas * np.sqrt(share)) ** 3
+    return float(dof * (1.0 - share + sigmas * np.sqrt(share)) ** 3)
 
 
 @compiled
@@ -74,7 +74,7 @@ def off(fit: Floats, k: int, rules: Rules, beams: Beams) -> float:
     nx, ny = np.cos(fit[NORMAL]), np.sin(fit[NORMAL])
     h = nx * (beams.x[k] - fit[MIDDLE_X]) + ny * (beams.y[k] - fit[MIDDLE_Y])
     cosine = max(-(nx * beams.ux[k] + ny * beams.uy[k]), FLATTEST)
-    return h / np.sqrt(beams.excess[k] * across_variance(rules, beams.r[k], cosine))
+    return float(h / np.sqrt(beams.excess[k] * across_variance(rules, beams.r[k], cosine)))
 
 
 @compiled
@@ -83,7 +83,8 @@ def refine(piece: int, before: int, after: int, rules: Rules, beams: Beams, piec
 
     Those are the very last one, which may have met an edge half, and those that the neighbour's
     line (before, after; -1: none) explains as well: whichever of them are taken for this wall are
-    chosen by their errors. They still say how far the wall reaches. False if nothing is left.
+    chosen by their errors. They still say how far the wall reaches, and so do beams beyond them
+    that are on the line and in no other piece. False if nothing is left.
     """
     first, last, fit, label = (
         pieces.first[piece],
@@ -101,15 +102,30 @@ def refine(piece: int, before: int, after: int, rules: Rules, beams: Beams, piec
             end -= 1
     if end - begin + 1 < FEWEST or not fit_line(begin, end, piece, rules, beams, fit):
         return False
-    nx, ny = np.cos(fit[NORMAL]), np.sin(fit[NORMAL])
     for q in range(first, last + 1):
-        k = q % n
-        if label[k] != piece or begin <= q <= end:
-            continue
-        beams.trust[k] = 0.0
-        if abs(off(fit, k, rules, beams)) <= AMBIGUOUS:
-            s = nx * (beams.y[k] - fit[MIDDLE_Y]) - ny * (beams.x[k] - fit[MIDDLE_X])
-            fit[RIGHT], fit[LEFT] = min(fit[RIGHT], s), max(fit[LEFT], s)
+        if label[q % n] == piece and not begin <= q <= end:
+            beams.trust[q % n] = 0.0
+            _reach_to(q % n, fit, rules, beams)
+    for step in (-1, 1):
+        q = first - 1 if step < 0 else last + 1
+        while 0 <= q < n or rules.turn:
+            k = q % n
+            # The later of this beam and the one before it on the way.
+            broken = beams.breaks[(q + 1) % n if step < 0 else k]
+            if label[k] >= 0 or broken or not _reach_to(k, fit, rules, beams):
+                break
+            q += step
+    return True
+
+
+@compiled
+def _reach_to(k: int, fit: Floats, rules: Rules, beams: Beams) -> bool:
+    """Let a fit reach to beam k if that is on its line; return whether it is."""
+    if abs(off(fit, k, rules, beams)) > AMBIGUOUS:
+        return False
+    dx, dy = beams.x[k] - fit[MIDDLE_X], beams.y[k] - fit[MIDDLE_Y]
+    s = np.cos(fit[NORMAL]) * dy - np.sin(fit[NORMAL]) * dx
+    fit[RIGHT], fit[LEFT] = min(fit[RIGHT], s), max(fit[LEFT], s)
     return True
 
 
@@ -131,7 +147,7 @@ def _explained(k: int, piece: int, other: int, rules: Rules, beams: Beams, piece
     h = nx * (r * ux - next_wall[MIDDLE_X]) + ny * (r * uy - next_wall[MIDDLE_Y])
     cosine = max(-(nx * ux + ny * uy), FLATTEST)
     variance = beams.excess[k] * across_variance(rules, r, cosine)
-    return h * h < AMBIGUOUS * AMBIGUOUS * variance
+    return bool(h * h < AMBIGUOUS * AMBIGUOUS * variance)
 
 
 @compiled
@@ -142,7 +158,7 @@ def straight(fit: Floats, rules: Rules) -> bool:
     if fit[MISFIT] > rules.noise_margin**2 * chi_square_bound(int(fit[BEAMS]) - 2, 3.0):
         return False
     bulge = abs(fit[SAGITTA])
-    return bulge <= rules.curved * (np.sqrt(fit[SAGITTA_VARIANCE]) + rules.flatness_m)
+    return bool(bulge <= rules.curved * (np.sqrt(fit[SAGITTA_VARIANCE]) + rules.flatness_m))
 
 
 @compiled

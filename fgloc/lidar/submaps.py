@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from fgloc.core.compiled import compiled
 from fgloc.core.geometry import between
@@ -105,16 +104,6 @@ def seen_through(first: Submap, second: Submap, relative: Floats) -> float:
 def inverse_of(pose: Floats) -> Floats:
     """Return the inverse of one pose (3,)."""
     return np.asarray(between(pose, np.zeros(3)))
-
-
-def places(poses: Floats, spacing: float, turn: float) -> npt.NDArray[np.int64]:
-    """Return the scans at which the path has gone on by `spacing` [m] or turned by `turn` [rad]."""
-    chosen = [0] if len(poses) else []
-    for k in range(1, len(poses)):
-        moved = between(poses[chosen[-1]], poses[k])
-        if np.hypot(moved[0], moved[1]) >= spacing or abs(moved[2]) >= turn:
-            chosen.append(k)
-    return np.array(chosen, np.int64)
 
 
 def around(travelled: Floats, middle: int, half: float, most: int) -> Indices:

@@ -178,8 +178,8 @@ def surfaces(points: Floats, valid: Mask, scans: Scans) -> list[ScanPoints]:
 
     `points` (N, B, 2) [m] in each lidar's axes in beam order and `valid` (N, B), as a `Cloud` has
     them; `scans` tells the noise. Points beyond 40 m are left out, and so are points of walls that
-    are sampled too thinly to tell a normal: they would pull along the wall. O(N·B), about 0.2 ms a scan.
-    FglocError where the shapes differ.
+    are sampled too thinly to tell a normal: they would pull along the wall. O(N·B), about
+    0.2 ms a scan. FglocError where the shapes differ.
     """
     if points.shape != (*valid.shape, 2) or valid.shape != scans.ranges.shape:
         raise FglocError(

@@ -82,7 +82,7 @@ class Map:
     walls: Walls | None = None
     """Walls; None where there is no lidar."""
     segments: Segments | None = None
-    """What was seen of them, as extracted."""
+    """What was seen of them, as extracted; `scan` counts all scans of the drive's first lidar."""
     wall: Stamps | None = None
     """(M,) the wall that each segment belongs to; -1 where it belongs to none."""
     marks: Marks | None = None

@@ -25,8 +25,18 @@ def magnification(typical: float, wanted: float) -> int:
     return max((m for m in MAGNIFICATIONS if m <= max(ratio, 1.0)), default=1)
 
 
-def enlarged(text: str, times: int) -> str:
-    """Return a legend's text that says how many times as large something is drawn."""
+def reduction(typical: float, most: float) -> int:
+    """Return by what to divide what is `typical` large, so that it is at most `most`.
+
+    The smallest of MAGNIFICATIONS that does; 1 for what is small enough.
+    """
+    return min((m for m in MAGNIFICATIONS if m * most >= typical), default=MAGNIFICATIONS[-1])
+
+
+def enlarged(text: str, times: int, divisor: int = 1) -> str:
+    """Return a legend's text that says how many times as large, or as small, things are drawn."""
+    if divisor > 1:
+        return f"{text} (drawn at 1/{divisor})"
     return text + (f" (drawn {times}× as large)" if times > 1 else "")
 
 

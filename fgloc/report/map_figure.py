@@ -11,8 +11,9 @@ from fgloc.core.drive import Drive
 from fgloc.core.measurements import Floats
 from fgloc.estimator import Result
 from fgloc.lidar.walls import Marks, Walls
-from fgloc.report.ellipses import draw_ellipses, enlarged, magnification
+from fgloc.report.ellipses import draw_ellipses, enlarged, magnification, reduction
 from fgloc.report.figures import TRUTH, colour, new_figure, save, save_svg
+from fgloc.report.map_segments import PlacedSegments, seen_lines
 from fgloc.report.map_truth import base_truth, surveyed, true_walls
 from fgloc.report.map_walls import offset_sigma, wall_bands
 
@@ -29,13 +30,20 @@ BAND = 2.0
 
 
 def draw_map(
-    result: Result, drive: Drive, points: Floats, png: Path, svg: Path | None = None
+    result: Result,
+    drive: Drive,
+    points: Floats,
+    png: Path,
+    svg: Path | None = None,
+    segments: PlacedSegments | None = None,
 ) -> None:
     """Draw the map in equal axes, in metres, as PNG and, where asked for, as SVG.
 
     `points` are (K, 2) scan points in map axes, thinned; in the SVG they are a picture, all else
-    is lines. Bands and ellipses too small to be seen are enlarged by a round number that the
-    legend names. Costs a second or two.
+    is lines. Of `segments` follows which parts of a wall were seen: those are drawn thick, what is
+    between them (a door, perhaps) thin. Bands and ellipses too small to be seen are enlarged by a
+    round number that the legend names, bands that would cover everything made smaller. Costs a
+    second or two.
     """
     walls = None if result.map is None else result.map.walls
     marks = None if result.map is None else result.map.marks
@@ -60,7 +68,8 @@ def draw_map(
     margin = np.maximum(0.04 * extent, 0.5 * (0.3 * extent - (high - low)))
     low, high = low - margin, high + margin
     size = (high - low) * min(11.0 / (high[0] - low[0]), 9.0 / (high[1] - low[1]))
-    figure = new_figure(max(float(size[0]), 6.0) + 1.0, float(size[1]) + 1.6)
+    width = max(float(size[0]), 6.0) + 1.0
+    figure = new_figure(width, float(size[1]) + 1.6)
     axes = figure.add_subplot()
     if points.shape[0]:
         # About as large as the distance between points, but neither invisible nor a blot.
@@ -74,7 +83,7 @@ def draw_map(
     axes.plot(*path.T, color=colour(result.method), lw=1.2, label=result.method, zorder=2.2)
     axes.plot(*path[0], "o", color=TRUTH, ms=6, mfc="white", mew=1.3, label="start", zorder=5)
     if walls is not None and walls.normal.size:
-        _draw_walls(axes, walls, extent)
+        _draw_walls(axes, walls, extent, segments)
     if marks is not None and marks.landmark.size:
         _draw_marks(axes, marks, extent)
     if places.shape[0]:
@@ -83,7 +92,7 @@ def draw_map(
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.set_aspect("equal", adjustable="box")
     axes.grid(alpha=0.25)
-    figure.legend(loc="outside lower center", frameon=False, ncols=4)
+    figure.legend(loc="outside lower center", frameon=False, ncols=max(2, int(width / 2.4)))
     save(figure, png)
     if svg is not None:
         save_svg(figure, svg)
@@ -107,22 +116,27 @@ def _draw_true_walls(axes: Axes, true: Floats) -> None:
     axes.plot([], [], color=TRUTH, lw=0.6, label="true walls")
 
 
-def _draw_walls(axes: Axes, walls: Walls, extent: float) -> None:
-    """Draw each wall along what was seen of it, and its band."""
+def _draw_walls(axes: Axes, walls: Walls, extent: float, segments: PlacedSegments | None) -> None:
+    """Draw each wall from end to end, thick where it was seen, and its band."""
     from matplotlib.collections import LineCollection, PolyCollection
 
-    axes.add_collection(LineCollection(list(walls.ends), colors=WALL, linewidths=1.3, zorder=2.6))
-    axes.plot([], [], color=WALL, lw=1.3, label=f"{walls.normal.size} walls")
+    thick = list(walls.ends)
+    if segments is not None:
+        axes.add_collection(LineCollection(thick, colors=WALL, linewidths=0.4, zorder=2.6))
+        thick = seen_lines(walls, segments)
+    axes.add_collection(LineCollection(thick, colors=WALL, linewidths=1.5, zorder=2.6))
+    axes.plot([], [], color=WALL, lw=1.5, label=f"{walls.normal.size} walls")
     known = np.isfinite(walls.covariance).all(axis=(1, 2))
     if not known.any():
         return
     widths = 2.0 * BAND * offset_sigma(walls, walls.reach)[known]
-    times = magnification(float(np.median(widths)), 0.012 * extent)
-    bands = wall_bands(walls, BAND * times)[known]
+    typical = float(np.median(widths))
+    times, divisor = magnification(typical, 0.012 * extent), reduction(typical, 0.04 * extent)
+    bands = wall_bands(walls, BAND * times / divisor)[known]
     axes.add_collection(
         PolyCollection(list(bands), facecolors=(WALL, 0.22), edgecolors="none", zorder=2.5)
     )
-    label = enlarged("walls ±2σ", times)
+    label = enlarged("walls ±2σ", times, divisor)
     axes.plot([], [], "s", mfc=(WALL, 0.22), mec="none", ms=10, label=label)
 
 

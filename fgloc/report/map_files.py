@@ -18,6 +18,7 @@ from fgloc.report.map_geojson import geojson_text, map_geojson
 from fgloc.report.map_grid import RESOLUTION_M, occupancy_grid, write_grid
 from fgloc.report.map_ply import write_ply
 from fgloc.report.map_points import all_points, placed_scans
+from fgloc.report.map_segments import place_segments
 from fgloc.report.map_thinning import thin
 
 
@@ -91,6 +92,7 @@ def _write(
         names += ["map.ply", "map.pgm", "map.yaml"]
     elif placed:
         notes.append("No beam of a scan in the map returned: there are no points and no grid.")
-    draw_map(result, drive, points, folder / "map.png", folder / "map.svg")
-    write_text(folder / "map.geojson", geojson_text(map_geojson(result, drive)))
+    segments = place_segments(result.map, placed[0]) if placed and result.map else None
+    draw_map(result, drive, points, folder / "map.png", folder / "map.svg", segments)
+    write_text(folder / "map.geojson", geojson_text(map_geojson(result, drive, segments)))
     return names, notes

@@ -20,6 +20,7 @@ from fgloc.core.trajectory import Trajectory
 from fgloc.estimator import Result
 from fgloc.lidar.walls import Marks, Walls
 from fgloc.report.ellipses import ellipse_axes
+from fgloc.report.map_segments import PlacedSegments, seen_parts
 from fgloc.report.map_truth import base_truth, surveyed, true_walls
 from fgloc.report.map_walls import wall_lengths, wall_sigmas
 
@@ -33,15 +34,19 @@ FRAME = {
 }
 
 
-def map_geojson(result: Result, drive: Drive) -> dict[str, Any]:
+def map_geojson(
+    result: Result, drive: Drive, segments: PlacedSegments | None = None
+) -> dict[str, Any]:
     """Return a FeatureCollection: walls, marks, trajectory and, where known, the truth.
+
+    Of `segments` follows which parts of a wall were seen.
 
     Every feature has an `id` and a property `kind`: `wall`, `mark`, `trajectory`, `truth` and,
     of a simulated world, `true_wall`.
     """
     features: list[dict[str, Any]] = []
     if result.map is not None and result.map.walls is not None:
-        features += _walls(result.map.walls)
+        features += _walls(result.map.walls, segments)
     if result.map is not None and result.map.marks is not None:
         features += _marks(result.map.marks, surveyed(drive))
     features += _path(result.trajectory, "trajectory", {"method": result.method})
@@ -73,8 +78,9 @@ def geojson_text(document: dict[str, Any]) -> str:
     return f'{_dumps(head)[:-1]}, "features": [\n{lines}\n]}}\n'
 
 
-def _walls(walls: Walls) -> list[dict[str, Any]]:
+def _walls(walls: Walls, segments: PlacedSegments | None) -> list[dict[str, Any]]:
     """Return a LineString for each wall, from its right to its left end as the robot saw it."""
+    parts = None if segments is None else seen_parts(walls, segments)
     offset, direction = wall_sigmas(walls)
     lengths = wall_lengths(walls)
     return [
@@ -88,6 +94,7 @@ def _walls(walls: Walls) -> list[dict[str, Any]]:
                 "normal_deg": _number(math.degrees(walls.normal[k]) % 360.0, DIGITS),
                 "length_m": _number(lengths[k], DIGITS),
                 "sightings": int(walls.sightings[k]),
+                "seen_m": None if parts is None else _rounded(parts[k] - walls.reach[k, 0]),
             },
         )
         for k, ends in enumerate(walls.ends)

@@ -10,31 +10,22 @@ import numpy.typing as npt
 
 from fgloc.core.drive import Drive
 from fgloc.core.evaluation import interpolate_trajectory
-from fgloc.core.geometry import compose
 from fgloc.core.measurements import Floats, Stamps
 from fgloc.core.trajectory import Trajectory
 from fgloc.estimator import Result, WheelSlip
 from fgloc.lidar.walls import Map, Marks, Walls
 from fgloc.report.map_figure import most_points
 from fgloc.report.map_points import PlacedScans, placed_scans
+from fgloc.report.map_segments import PlacedSegments, place_segments
 from fgloc.report.map_truth import base_truth, surveyed, true_walls
 
 Colour = tuple[int, int, int]
 
+SHOWN_S = 1.0
+"""Segments stay visible until others are seen, but no longer than this [s]: methods that use every
+third scan, say, would have them flicker."""
 UNASSOCIATED: Colour = (150, 150, 150)
 """Colour of a segment that belongs to no wall."""
-
-
-@dataclass(frozen=True)
-class PlacedSegments:
-    """Pieces of wall as they were seen, where the robot was when it saw them."""
-
-    row: Stamps
-    """(M,) row of the placed scan that each was seen in, non-decreasing."""
-    ends: Floats
-    """(M, 2, 2) right and left end in map axes [m]."""
-    wall: Stamps
-    """(M,) the wall it was associated with; -1 for none."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +92,7 @@ def make_scene(result: Result, drive: Drive) -> Scene:
         result.trajectory,
         base_truth(result, drive),
         scans,
-        _segments(found, scans[0]) if scans else None,
+        place_segments(found, scans[0]) if scans else None,
         found.walls,
         found.marks,
         surveyed(drive),
@@ -124,21 +115,3 @@ def wall_colour(wall: int) -> Colour:
         return UNASSOCIATED
     r, g, b = colorsys.hls_to_rgb(wall * 0.6180339887 % 1.0, 0.42, 0.85)
     return round(255 * r), round(255 * g), round(255 * b)
-
-
-def _segments(found: Map, scans: PlacedScans) -> PlacedSegments | None:
-    """Return the map's segments in map axes, those of scans that could be placed."""
-    if found.segments is None:
-        return None
-    segments = found.segments
-    wall = np.full(segments.scan.size, -1, np.int64) if found.wall is None else found.wall
-    if not scans.scan.size:
-        return PlacedSegments(np.zeros(0, np.int64), np.zeros((0, 2, 2)), np.zeros(0, np.int64))
-    row = np.clip(np.searchsorted(scans.scan, segments.scan), 0, scans.scan.size - 1)
-    there = scans.scan[row] == segments.scan
-    row = row[there]
-    # A point is a pose whose heading does not matter.
-    ends = segments.ends[there]
-    posed = np.concatenate([ends, np.zeros((*ends.shape[:2], 1))], axis=-1)
-    moved = compose(scans.poses[row][:, None], posed)[..., :2]
-    return PlacedSegments(row.astype(np.int64), np.ascontiguousarray(moved), wall[there])

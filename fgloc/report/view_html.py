@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from fgloc.atomic import write_text
-from fgloc.core.measurements import Floats, Stamps
+from fgloc.core.measurements import Floats
 from fgloc.core.trajectory import Trajectory
 from fgloc.report.ellipses import ellipse_axes
 from fgloc.report.map_points import PlacedScans, all_points
+from fgloc.report.map_segments import PlacedSegments
 from fgloc.report.map_thinning import thin
 from fgloc.report.map_walls import wall_bands
-from fgloc.report.scene import PlacedSegments, Scene, evenly, wall_colour
+from fgloc.report.scene import SHOWN_S, Scene, evenly, wall_colour
 
 MOST_SCANS = 1000
 """Scans of a lidar that the page holds, some kilobytes each."""
@@ -113,22 +114,28 @@ def _lidar(scene: Scene, number: int, origin: Floats) -> dict[str, Any]:
         # Segments belong to the first lidar.
         "segments": None
         if number or scene.segments is None
-        else _segments(scans, scene.segments, chosen, origin),
+        else _segments(scene, scans, scene.segments, origin),
     }
 
 
 def _segments(
-    scans: PlacedScans, segments: PlacedSegments, chosen: Stamps, origin: Floats
-) -> list[list[dict[str, Any]]]:
-    """Return the segments of each chosen scan with the colours of their walls."""
-    bounds = np.searchsorted(segments.row, np.arange(scans.scan.size + 1)).tolist()
-    return [
-        [
-            {"ends": _mm(segments.ends[m], origin), "colour": _hex(int(segments.wall[m]))}
-            for m in range(bounds[k], bounds[k + 1])
-        ]
-        for k in chosen.tolist()
-    ]
+    scene: Scene, scans: PlacedScans, segments: PlacedSegments, origin: Floats
+) -> dict[str, Any]:
+    """Return when segments were seen, and which, with the colours of their walls."""
+    rows, begins = np.unique(segments.row, return_index=True)
+    bounds = [*begins.tolist(), segments.row.size]
+    chosen = evenly(rows.size, MOST_SCANS)
+    return {
+        "shown": SHOWN_S,
+        "t": np.round(scene.seconds(scans.stamps_ns[rows[chosen]]), 3).tolist(),
+        "seen": [
+            [
+                {"ends": _mm(segments.ends[m], origin), "colour": _hex(int(segments.wall[m]))}
+                for m in range(bounds[k], bounds[k + 1])
+            ]
+            for k in chosen.tolist()
+        ],
+    }
 
 
 def _walls(scene: Scene, origin: Floats) -> list[dict[str, Any]]:

@@ -17,9 +17,10 @@ from fgloc.errors import FglocError
 from fgloc.lazy import import_rerun
 from fgloc.report.ellipses import ellipse_outlines
 from fgloc.report.map_points import PlacedScans, all_points
+from fgloc.report.map_segments import PlacedSegments
 from fgloc.report.map_thinning import thin
 from fgloc.report.map_walls import wall_bands
-from fgloc.report.scene import PlacedSegments, Scene, evenly, wall_colour
+from fgloc.report.scene import SHOWN_S, Scene, evenly, wall_colour
 
 TIMELINE = "drive"
 """Seconds since the drive's begin."""
@@ -181,12 +182,14 @@ def _scans(rerun: Any, stream: Any, scene: Scene, scans: PlacedScans) -> None:
 def _segments(
     rerun: Any, stream: Any, scene: Scene, scans: PlacedScans, segments: PlacedSegments
 ) -> None:
-    """Log the segments of each scan in the colours of their walls; an empty scan clears them."""
-    bounds = np.searchsorted(segments.row, np.arange(scans.scan.size + 1))
-    for k, stamp in enumerate(scene.seconds(scans.stamps_ns).tolist()):
-        own = slice(int(bounds[k]), int(bounds[k + 1]))
+    """Log the segments of each scan that has some, in the colours of their walls."""
+    rows, begins = np.unique(segments.row, return_index=True)
+    bounds = [*begins.tolist(), segments.row.size]
+    stamps = [*scene.seconds(scans.stamps_ns[rows]).tolist(), np.inf]
+    for k in range(rows.size):
+        own = slice(bounds[k], bounds[k + 1])
         wall = segments.wall[own].tolist()
-        stream.set_time(TIMELINE, duration=stamp)
+        stream.set_time(TIMELINE, duration=stamps[k])
         stream.log(
             "map/segments",
             rerun.LineStrips3D(
@@ -197,6 +200,9 @@ def _segments(
                 show_labels=False,
             ),
         )
+        if stamps[k + 1] > stamps[k] + SHOWN_S:
+            stream.set_time(TIMELINE, duration=stamps[k] + SHOWN_S)
+            stream.log("map/segments", rerun.Clear(recursive=False))
 
 
 def _poses(rerun: Any, stream: Any, scene: Scene) -> None:

@@ -14,11 +14,12 @@ from PIL import Image
 
 from fgloc.errors import FglocError
 from fgloc.lazy import import_open3d
+from fgloc.lidar.walls import Map
 from fgloc.report import map_files
 from fgloc.report.figures import colour
 from fgloc.report.map_figure import POINT, WALL, draw_map
 from fgloc.report.map_files import MapFiles, check_mappable, write_map
-from tests.report.mapped import HALF, drive, result, room_map, room_scans, sightings
+from tests.report.mapped import HALF, drive, result, room_map, room_scans, room_walls, sightings
 
 ALL = ("map.png", "map.svg", "map.geojson", "map.ply", "map.pgm", "map.yaml")
 
@@ -64,9 +65,11 @@ def test_figures_show_walls_points_and_path(room: MapFiles, tmp_path: Path) -> N
     assert pixels_like(tmp_path / "bare.png", WALL) == 0
 
 
-def test_axes_are_equal(room: MapFiles) -> None:
+def test_axes_are_equal(tmp_path: Path) -> None:
     # The room is a square, so its walls are as far apart on paper in x as in y.
-    with Image.open(room.folder / "map.png") as image:
+    walls = result(Map(walls=room_walls()))
+    draw_map(walls, drive(), np.zeros((0, 2)), tmp_path / "map.png")
+    with Image.open(tmp_path / "map.png") as image:
         picture = np.asarray(image.convert("RGB"), dtype=int)
     rgb = [int(WALL[k : k + 2], 16) for k in (1, 3, 5)]
     blue = np.abs(picture - rgb).max(axis=2) < 12

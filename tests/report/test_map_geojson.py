@@ -12,6 +12,7 @@ from fgloc.core.trajectory import Trajectory
 from fgloc.lidar.walls import Map
 from fgloc.report.map_geojson import geojson_text, map_geojson
 from fgloc.report.map_json import map_json
+from fgloc.report.map_segments import PlacedSegments
 from tests.report.mapped import drive, result, room_map, room_walls, sightings
 
 
@@ -68,6 +69,7 @@ def test_room() -> None:
         "normal_deg": 180.0,
         "length_m": 6.0,
         "sightings": 20,
+        "seen_m": None,
     }
     first, second = features(document, "mark")
     assert first["geometry"] == {"type": "Point", "coordinates": [1.0, 2.0]}
@@ -85,6 +87,15 @@ def test_room() -> None:
     assert path["properties"]["seconds"][20] == 1.0
     assert path["properties"]["heading_deg"][20] == round(np.degrees(0.4) + 90.0, 4)
     assert len(features(document, "truth")) == 1
+
+
+def test_which_parts_were_seen() -> None:
+    ends = np.array([[[-2.0, 3.0], [-1.0, 3.0]], [[0.0, 3.0], [3.0, 3.0]]])
+    segments = PlacedSegments(np.zeros(2, np.int64), ends, np.ones(2, np.int64))
+    document = read(geojson_text(map_geojson(result(room_map()), drive(), segments)))
+    parts = [wall["properties"]["seen_m"] for wall in features(document, "wall")]
+    # From the right end, which is at x = -3.
+    assert parts == [[], [[1.0, 2.0], [3.0, 6.0]], [], []]
 
 
 def test_without_a_map_or_a_truth_the_path_is_left() -> None:

@@ -123,9 +123,10 @@ def test_recording_read_back(tmp_path: Path) -> None:
     assert np.abs(np.abs(np.array(positions)[..., :2]).max(axis=-1) - 3.0).max() < 1e-5
     stamps = [t.total_seconds() for t in scans["drive"] if t is not None]
     np.testing.assert_allclose(stamps, 0.2 * np.arange(20))
-    # One segment in the first scan, none in the others, which clears it.
-    drawn = found["/map/segments"]["LineStrips3D:strips"]
-    assert [len(strips) for strips in drawn] == [1] + [0] * 19
+    # One segment in the first scan, none in the others: a second later it is gone.
+    assert [len(s) for s in found["/map/segments"]["LineStrips3D:strips"] if s] == [1]
+    assert sorted(t.total_seconds() for t in found["/map/segments"]["drive"]) == [0.0, 1.0]
+    assert [c for c in found["/map/segments"]["Clear:is_recursive"] if c] == [[False]]
     slip = found["/slip/left"]["Scalars:scalars"]
     assert slip == [[0.0], [0.25], [0.25], [0.0]]
     sigma = found["/sigma/heading_deg"]["Scalars:scalars"]
@@ -203,8 +204,10 @@ def test_page_holds_the_scene(tmp_path: Path) -> None:
     first = np.array(lidar["scans"][0]).reshape(-1, 2) + np.array([1000, 0])
     assert np.abs(np.abs(first).max(axis=1) - 3000).max() <= 1
     # Wall 1's colour, in both.
-    assert lidar["segments"][0][0]["colour"] == document["walls"][1]["colour"]
-    assert lidar["segments"][1:] == [[]] * 19
+    assert [[s["colour"] for s in seen] for seen in lidar["segments"]["seen"]] == [
+        [document["walls"][1]["colour"]]
+    ]
+    assert lidar["segments"]["t"] == [0.0]
     assert document["marks"][0] | {"axes": None} == {"name": "6", "x": 0, "y": 2000, "axes": None}
     np.testing.assert_allclose(document["marks"][0]["axes"][:2], [489.54, 244.77])
     assert document["marks"][1]["axes"] is None
@@ -233,7 +236,7 @@ def test_long_drives_are_thinned_and_say_so(
     monkeypatch.setattr(view_html, "MOST_POSES", 9)
     document = embedded(view_html.save_page(scene(), tmp_path / "room.html"))
     assert document["note"] == "5 of 20 scans of lidar are shown."
-    assert len(document["lidars"][0]["scans"]) == len(document["lidars"][0]["segments"]) == 5
+    assert len(document["lidars"][0]["scans"]) == len(document["lidars"][0]["t"]) == 5
     assert document["path"]["t"] == [0.5 * k for k in range(9)]
 
 
@@ -241,7 +244,7 @@ DOM = """
 const calls = [];
 const paper = new Proxy({}, {
   get: (of, name) => name in of ? of[name] : (...a) => { calls.push([name, ...a]); },
-  set: (of, name, value) => { of[name] = value; return true; },
+  set: (of, name, value) => { of[name] = value; calls.push(["set", name, value]); return true; },
 });
 const elements = {};
 function element(id) {
@@ -273,6 +276,13 @@ def test_script_draws_and_answers(tmp_path: Path) -> None:
     elements.time.value = "3.0";
     elements.time.listeners.input();
     out.later = elements.clock.textContent;
+    const thick = () => calls.filter((c) => c[0] === "set" && c[1] === "lineWidth" && c[2] === 4);
+    out.segments = [3.0, 0.9, 1.1].map((t) => {
+      calls.length = 0;
+      elements.time.value = String(t);
+      elements.time.listeners.input();
+      return thick().length;
+    });
     elements.map.listeners.wheel({ preventDefault() {}, offsetX: 0, offsetY: 0, deltaY: -500 });
     elements.map.listeners.dblclick();
     elements.play.listeners.click();
@@ -293,6 +303,8 @@ def test_script_draws_and_answers(tmp_path: Path) -> None:
     assert out["title"] == "a/room:1: batch"
     assert out["clock"] == "1.50 s of 4.00 s, left slips 25 %"
     assert out["later"] == "3.00 s of 4.00 s"
+    # The one segment is seen at 0 s, and shown for a second.
+    assert out["segments"] == [0, 1, 0]
     assert out["play"] == "stop"
     assert out["finite"]
     # The points of the scan at 1.4 s and of the map, each a small square.
