@@ -61,8 +61,8 @@ def test_a_landmark_put_aside_and_fetched_again_leaves_the_prior_as_it_was() -> 
 def test_marginals_of_landmarks_aside_are_those_of_the_joint_distribution() -> None:
     """Given the covariance of the rest: gain, noise and what they share."""
     prior, marks, p, offset = known(1)
-    less, keep = put_aside(prior, marks, [0])
-    less, _keep = put_aside(less, marks, [2, 3])
+    less, _ = put_aside(prior, marks, [0])
+    less, _ = put_aside(less, marks, [2, 3])
     left = np.linalg.inv(less.sqrt_information[0])
     columns = B + G + np.array([0, 1, 4, 5, 6, 7])
     whole = marks.aside.whole(left @ left.T)
