@@ -23,6 +23,7 @@ from fgloc.core.measurements import Floats
 from fgloc.datasets.registry import load_drive
 from fgloc.errors import FglocError
 from fgloc.lidar.closures import Closures
+from fgloc.lidar.surfaces import Mask
 from fgloc.smoothing.front import Front, look_around
 
 WRONG_M, WRONG_RAD, CLAIMED = 0.5, np.radians(3.0), 16.27
@@ -30,7 +31,7 @@ WRONG_M, WRONG_RAD, CLAIMED = 0.5, np.radians(3.0), 16.27
 its covariance owns up to it."""
 
 
-def true_poses(drive: Drive, front: Front) -> tuple[Floats, Floats]:
+def true_poses(drive: Drive, front: Front) -> tuple[Floats, Mask]:
     """Return the used scans' true lidar poses (N, 3), nominal mounting, and a mask of them (N,).
 
     FglocError where the drive has no truth. Truth is interpolated on SE(2); a scan outside it, or
@@ -60,7 +61,7 @@ def aligned_errors(poses: Floats, truth: Floats) -> tuple[float, float]:
     return float(np.sqrt(np.mean(np.sum(off**2, axis=1)))), float(np.sqrt(np.mean(heading**2)))
 
 
-def wrong_closures(closures: Closures, truth: Floats, inside: Floats) -> tuple[int, int, float]:
+def wrong_closures(closures: Closures, truth: Floats, inside: Mask) -> tuple[int, int, float]:
     """Return how many closures could be judged, how many are wrong, and the median error [m]."""
     judged = inside[closures.first] & inside[closures.second]
     first, second = closures.first[judged], closures.second[judged]
