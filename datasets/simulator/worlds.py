@@ -22,9 +22,11 @@ A world is a TOML file, one of `datasets/worlds` or the user's own:
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -34,6 +36,7 @@ from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
 from fgloc.toml_file import TomlFile, read_toml
 
+T = TypeVar("T")
 NAMES = ("seed-b-room", "seed-c-1", "seed-c-2", "office", "hall")
 """Worlds that come with the package."""
 SAGITTA_M = 0.002
@@ -127,18 +130,13 @@ def parse_world(file: TomlFile, name: str) -> World:
     course = file.table(raw["course"], CourseTable, "course")
     pieces: list[Floats] = [np.zeros((0, 4))]
     curved: list[bool] = []
-    for key, kind in (("walls", WallTable), ("arcs", ArcTable)):
-        entries = raw.get(key, [])
-        if not isinstance(entries, list):
-            raise file.error(f"{key} must be written as [[{key}]], one table each", key)
-        for k, entry in enumerate(entries):
-            table = file.table(entry, kind, key)
-            try:
-                found = _straight(table) if isinstance(table, WallTable) else _arc(table)
-            except ValueError as error:
-                raise file.error(f"{key}, table {k + 1}: {error}", key) from None
-            pieces.append(found)
-            curved += [key == "arcs"] * found.shape[0]
+    for k, entry in enumerate(_entries(file, raw, "walls")):
+        table = file.table(entry, WallTable, "walls")
+        pieces.append(_named(file, "walls", k, _straight, table))
+        curved += [False] * pieces[-1].shape[0]
+    for k, entry in enumerate(_entries(file, raw, "arcs")):
+        pieces.append(_named(file, "arcs", k, _arc, file.table(entry, ArcTable, "arcs")))
+        curved += [True] * pieces[-1].shape[0]
     if len(curved) > MOST_PIECES:
         raise file.error(f"{len(curved)} pieces of wall are more than {MOST_PIECES}", "walls")
     waypoints = np.array(course.waypoints, dtype=np.float64).reshape(-1, 2)
@@ -158,6 +156,22 @@ def parse_world(file: TomlFile, name: str) -> World:
         course.speed,
         course.laps,
     )
+
+
+def _entries(file: TomlFile, raw: dict[str, Any], key: str) -> list[Any]:
+    """Return the tables of `[[key]]`; FglocError if it is something else."""
+    entries = raw.get(key, [])
+    if not isinstance(entries, list):
+        raise file.error(f"{key} must be written as [[{key}]], one table each", key)
+    return entries
+
+
+def _named(file: TomlFile, key: str, k: int, make: Callable[[T], Floats], table: T) -> Floats:
+    """Return the pieces that `make` makes of table `k`; its ValueError becomes one of the file."""
+    try:
+        return make(table)
+    except ValueError as error:
+        raise file.error(f"{key}, table {k + 1}: {error}", key) from None
 
 
 def _straight(table: WallTable) -> Floats:

@@ -165,7 +165,12 @@ def _solve_network(
             flat[ends[1] :],
             landmark_step=flat[ends[0] : ends[1]].reshape(-1, 2),
         )
-        return _with_covariances(found, tree, shared) if with_covariance else found
+        if not with_covariance:
+            return found
+        try:
+            return _with_covariances(found, tree, shared)
+        except RuntimeError:
+            continue  # solved, but too poorly conditioned to invert: QR keeps more digits
     return None
 
 
