@@ -60,6 +60,8 @@ FUTURE_NS = 30_000_000_000
 """A stamp this far ahead of the wheels' is wrong."""
 BROKEN = (FglocError, ArithmeticError, ValueError, RuntimeError)
 """What a solver may raise over numbers it cannot digest (numpy's and GTSAM's errors are these)."""
+SPARSE = 5.0
+"""With a lidar keyframes are so many times rarer: its scans make those that are needed."""
 ASIDE = 1000
 """Readings that are put aside at most while the clock is in doubt."""
 
@@ -302,7 +304,8 @@ class OnlineEngine:
         s, window = self.settings, self.window
         last = window.newest
         # 5 % slack keeps a jittering sensor of the same rate from alternating between one and two.
-        if self.now_ns - window.stamp(last) >= 0.95e9 * s.keyframe_period_s:
+        period_s = s.keyframe_period_s * (SPARSE if self._scans else 1.0)
+        if self.now_ns - window.stamp(last) >= 0.95e9 * period_s:
             return True
         before, now = window.state(last), self.propagation.state
         way = float(np.hypot(now[0] - before[0], now[1] - before[1]))

@@ -117,7 +117,7 @@ def put_aside(
     rows = triangle(np.column_stack([root[:, columns], root[:, rest], right]))
     aside.put(numbers, columns, rows[:q, :q], rows[:q, q:-1], rows[:q, -1])
     left = np.ascontiguousarray(rows[q : q + rest.size, q:-1])
-    step: Floats = np.linalg.solve(left, rows[q : q + rest.size, -1])
+    step = np.asarray(np.linalg.solve(left, rows[q : q + rest.size, -1]), dtype=np.float64)
     landmarks.drop(numbers)
     keep = np.setdiff1d(np.arange(border.size), own)
     return joined(prior, state, border[keep], step, left), keep
