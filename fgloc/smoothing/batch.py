@@ -11,15 +11,18 @@ from fgloc.core.geometry import rotate_covariance
 from fgloc.core.trajectory import Trajectory
 from fgloc.errors import FglocError
 from fgloc.estimator import DOWN_WEIGHTED, Result, SensorCount, SensorResiduals, calibration_of
-from fgloc.factors.tables import COMPONENTS, residuals
+from fgloc.factors.tables import COMPONENTS, Kind, residuals
 from fgloc.smoothing.mapping import map_of
 from fgloc.smoothing.optimise import Solution
 from fgloc.smoothing.problem import HIDDEN, Problem
+from fgloc.smoothing.scene import Scene
 from fgloc.smoothing.settings import Settings
 from fgloc.smoothing.slip import seen_by_others, slips_of
 from fgloc.smoothing.slip_report import slip_notes
 from fgloc.smoothing.trust import STRAINED, solve_with_trust, strain
 
+OF_SCANS = (Kind.WALL, Kind.SCAN_MATCH)
+"""Tables of which a scan has several factors."""
 AT_ODDS = 0.2
 """A larger share of down-weighted factors is worth a note: sensors contradict each other."""
 
@@ -65,7 +68,6 @@ def _result(
     if solution.covariance is not None:
         covariances = rotate_covariance(solution.covariance[:, :3, :3], poses[:, 2])
         covariances = 0.5 * (covariances + covariances.swapaxes(1, 2))
-    used = tuple(name for name, (count, _) in problem.counts.items() if count > 0)
     sizes = {s.sensor: s.stamps_ns.size for s in drive.sensors}
     unused = {name: SensorCount(0, 0, sizes[name]) for name in left_out}
     slips = slips_of(problem, solution)
@@ -79,6 +81,7 @@ def _result(
             "fixes at the start or a better nominal calibration (--robot) tell"
         )
     counts = _counts(problem, solution)
+    used = tuple(name for name, c in counts.items() if c.accepted + c.down_weighted > 0)
     for name, c in counts.items():
         if c.down_weighted > AT_ODDS * (c.accepted + c.down_weighted):
             notes.append(
@@ -135,14 +138,33 @@ def _residuals(problem: Problem, solution: Solution) -> tuple[SensorResiduals, .
 
 
 def _counts(problem: Problem, solution: Solution) -> dict[str, SensorCount]:
-    """Return how each sensor's measurements were used."""
+    """Return how each sensor's measurements were used; a lidar's are its scans."""
     counts = {
         name: SensorCount(used, 0, rejected) for name, (used, rejected) in problem.counts.items()
     }
     for table, weight in zip(solution.point.tables, solution.point.weights, strict=True):
-        if table.kind in HIDDEN or table.sensor not in counts:
+        if table.kind in (*HIDDEN, *OF_SCANS) or table.sensor not in counts:
             continue
         down = int(np.sum(weight < DOWN_WEIGHTED))
         before = counts[table.sensor]
         counts[table.sensor] = SensorCount(before.accepted - down, down, before.rejected)
+    if problem.scene is not None:
+        counts[problem.scene.scans.sensor] = _scan_count(problem, problem.scene, solution)
     return counts
+
+
+def _scan_count(problem: Problem, scene: Scene, solution: Solution) -> SensorCount:
+    """Return how a lidar's scans were used.
+
+    A scan is down-weighted where every wall and every match of it is, rejected where it has none.
+    """
+    best = np.full(problem.keyframes_ns.size, -1.0)
+    for table, weight in zip(solution.point.tables, solution.point.weights, strict=True):
+        if table.kind in OF_SCANS:
+            np.maximum.at(best, table.first, weight)
+        if table.kind == Kind.SCAN_MATCH and table.second is not None:
+            np.maximum.at(best, table.second, weight)
+    told = best[scene.at]
+    silent, down = int(np.sum(told < 0.0)), int(np.sum((told >= 0.0) & (told < DOWN_WEIGHTED)))
+    left_out = problem.counts[scene.scans.sensor][1]
+    return SensorCount(told.size - silent - down, down, left_out + silent)

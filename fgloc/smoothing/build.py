@@ -12,6 +12,7 @@ from fgloc.core.measurements import (
     LandmarkSightings,
     PoseFixes,
     PositionFixes,
+    Scans,
     Stamps,
     Yaw,
     YawRate,
@@ -319,6 +320,9 @@ def build_problem(drive: Drive, settings: Settings, front: Front | None = None) 
     for sightings in drive.each(LandmarkSightings):
         _add_sightings(builder, sightings, settings.landmark_loss if robust else PLAIN)
     scene = None if front is None else _scene(builder, front)
+    for lidar in drive.each(Scans):
+        # What `look_around` made nothing of: a single scan, a second lidar.
+        builder.counts.setdefault(lidar.sensor, (0, lidar.stamps_ns.size))
     states = np.zeros((keyframes.size, builder.width))
     states[:, :3] = guess.poses
     for column, first in builder.zeros:

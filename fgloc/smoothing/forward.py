@@ -88,6 +88,21 @@ def forward(problem: Problem, settings: Settings) -> tuple[Floats, Floats, Float
     return states, u, known.value, iterations
 
 
+def placed(problem: Problem, states: Floats) -> Floats:
+    """Return the landmarks (L, 2) where a survey, else their first sightings from `states` put them.
+
+    `states` (K, B) must be right to a degree where nothing is surveyed.
+    """
+    known = _surveyed(problem)
+    values = known.value.copy()
+    new = np.isnan(known.covariance[:, 0, 0])
+    for table in problem.tables:
+        if table.kind == Kind.RANGE_BEARING and table.second is not None:
+            rows = np.flatnonzero(new[table.second])[::-1]  # the first sighting has the last word
+            values[table.second[rows]] = _where(table, rows, states)
+    return values
+
+
 def _surveyed(problem: Problem) -> _Known:
     """Return what is known of the landmarks before the drive."""
     n = problem.landmarks.shape[0]

@@ -32,7 +32,7 @@ class Front:
     numbers: Stamps
     """(N,) which of the drive's scans they are."""
     left_out: int
-    """How many were not: too near to the one before, or outside the drive."""
+    """How many were not: too near to the one before, a repetition of it, or outside the drive."""
     segments: Segments
     """Straight walls in them."""
     chain: Chain
@@ -51,7 +51,10 @@ def look_around(drive: Drive) -> Front | None:
         return None
     every = lidars[0]
     first, last = drive.wheels.stamps_ns[[0, -1]]
-    inside = np.flatnonzero((every.stamps_ns >= first) & (every.stamps_ns <= last))
+    # Noise makes every scan another one: a lidar that hangs sends its last one again, and would
+    # have it that the robot stands.
+    fresh = np.append(True, np.any(np.diff(every.ranges, axis=0) != 0.0, axis=1))
+    inside = np.flatnonzero(fresh & (every.stamps_ns >= first) & (every.stamps_ns <= last))
     if inside.size < 2:
         return None
     scans = _some(every, inside)

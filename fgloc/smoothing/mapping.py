@@ -14,13 +14,15 @@ import numpy as np
 
 from fgloc.core.geometry import between, compose, inverse
 from fgloc.core.measurements import Floats, Stamps
+from fgloc.errors import FglocError
 from fgloc.factors.robust import PLAIN
 from fgloc.factors.tables import FactorTable, Kind
 from fgloc.lidar.association import Slack, associate, duplicates, lidar_poses, single_noise
 from fgloc.lidar.walls import Map, Marks, Walls
+from fgloc.smoothing.forward import placed
 from fgloc.smoothing.front import Front
 from fgloc.smoothing.minimise import Point, minimise
-from fgloc.smoothing.optimise import Solution, finish
+from fgloc.smoothing.optimise import Solution, finish, optimise
 from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.scene import Scene
 from fgloc.smoothing.settings import Settings
@@ -50,23 +52,56 @@ def solve_with_walls(
 ) -> tuple[Problem, Solution]:
     """Return the problem with walls, and its solution.
 
-    O(N) a round but for the association, O(segments · walls).
+    Where scans show no walls, or what they tell cannot be solved, that of the other sensors, with a
+    note. Raises FglocError where these cannot be solved either. O(N) a round but for the
+    association, O(segments · walls).
+    """
+    why = f"its scans show no straight wall {FEWEST} times"
+    try:
+        found = _solve_with_walls(problem, front, settings)
+    except (FglocError, np.linalg.LinAlgError):
+        found, why = None, "no poses go with its scans and the other sensors alike"
+    if found is not None:
+        return found
+    note = f"{front.scans.sensor} was not used: {why}"
+    problem = replace(problem, notes=(*problem.notes, note))
+    return problem, optimise(problem, settings)
+
+
+def _solve_with_walls(
+    problem: Problem, front: Front, settings: Settings
+) -> tuple[Problem, Solution] | None:
+    """Return the problem with matches and walls, and its solution; None if there is no wall.
+
+    Scans that show none are not matched either: what is round, or a handful of beams, can be laid
+    on itself in many ways, all of them exact. Raises FglocError or LinAlgError where the system is
+    indeterminate.
     """
     scene = problem.scene
     assert scene is not None
+    if not scene.segments.scan.size:
+        return None
     rough = replace(settings, tolerance=ROUGH)
     strong = np.zeros(front.chain.relative.shape[0], bool)
     closed = np.zeros(front.closures.first.size, bool)
     matched = _with_matches(problem, front, scene, strong, closed, settings)
     states = _laid_out(problem, front, scene)
-    u = np.zeros(len(problem.parameters))
-    point, iterations, converged = minimise(matched, rough, states, u, settings.robust)
+    u, marks = np.zeros(len(problem.parameters)), placed(problem, states)
+    point, iterations, converged = minimise(
+        matched, rough, states, u, settings.robust, landmarks=marks
+    )
     graph, walls = matched, None
     wall = np.full(scene.segments.scan.size, -1, np.int64)
     for slack in ROUNDS:
         before = wall
         walls, wall = _associated(scene, point, slack, walls)
         if not walls.normal.size:
+            if graph is matched:
+                return None
+            point, count, converged = minimise(
+                graph, settings, point.states, point.u, settings.robust, landmarks=point.landmarks
+            )
+            iterations += count
             break
         now, landmarks = scene.with_walls(walls, wall)
         strong, closed = _told_by_walls(scene, front, walls, wall)
@@ -74,7 +109,7 @@ def solve_with_walls(
         graph = replace(
             graph,
             tables=(*graph.tables, now.table(settings.landmark_loss if settings.robust else PLAIN)),
-            landmarks=np.concatenate([problem.landmarks, landmarks]),
+            landmarks=np.concatenate([point.landmarks[: scene.first], landmarks]),
             scene=now,
         )
         settled = wall.size == before.size and bool(np.array_equal(wall, before))
@@ -88,7 +123,7 @@ def solve_with_walls(
         )
         iterations += count
         scene = now
-        walls = scene.walls(point.landmarks, None, point.states[:, :3])
+        walls = scene.walls(point.landmarks, None, point.states[:, :3], point.u)
         if settled:
             break
     graph, pruned = _pruned(graph, point)
@@ -138,10 +173,12 @@ def map_of(problem: Problem, solution: Solution) -> Map | None:
         )
     if scene is None:
         return None if marks is None else Map(marks=marks)
-    walls = scene.walls(point.landmarks, solution.landmark_covariance, point.states[:, :3])
+    covariance = solution.landmark_covariance
+    walls = scene.walls(point.landmarks, covariance, point.states[:, :3], point.u)
     unsure = walls.covariance[:, 0, 0] > UNSURE**2
-    place = np.where(unsure, -1, np.cumsum(~unsure) - 1)
-    wall = np.where(scene.wall >= 0, place[scene.wall], -1)
+    # One more at the end for segments of no wall, -1.
+    place = np.append(np.where(unsure, -1, np.cumsum(~unsure) - 1), -1)
+    wall = place[scene.wall]
     walls = walls.select(np.flatnonzero(~unsure))
     # A map's segments say which of the drive's scans they are of, not which of those in use.
     segments = replace(scene.segments, scan=scene.numbers[scene.segments.scan])
@@ -201,7 +238,7 @@ def _associated(
 
     Duplicates are joined, walls that were seen too seldom are dropped.
     """
-    poses = lidar_poses(point.states[scene.at, :3], scene.scans.mount)
+    poses = lidar_poses(point.states[scene.at, :3], scene.mount(point.u))
     walls, wall = associate(scene.segments, poses, slack, known)
     noise = single_noise(scene.segments, wall, walls.normal.size)
     same = duplicates(walls, slack, noise)

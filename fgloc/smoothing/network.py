@@ -17,6 +17,7 @@ from fgloc.core.measurements import Floats, Stamps
 from fgloc.factors.tables import FactorTable, Linearised
 from fgloc.smoothing.arrow import ArrowSolution, ChainRows, solve, stack
 from fgloc.smoothing.elimination import add_chain, add_damping, solve_with_gtsam
+from fgloc.smoothing.marginals import sparse_marginals
 
 if TYPE_CHECKING:
     import gtsam
@@ -170,7 +171,7 @@ def _solve_network(
         try:
             return _with_covariances(found, tree, shared)
         except RuntimeError:
-            continue  # solved, but too poorly conditioned to invert: QR keeps more digits
+            return _with_sparse_covariances(found, system)
     return None
 
 
@@ -230,6 +231,20 @@ def _ordering(keyframes: int, pairs: Stamps, shared: int, calibrated: bool) -> g
     is_keyframe = np.arange(shared) < keyframes
     order = np.lexsort((is_keyframe, level)).tolist()
     return gtsam.Ordering([*order, shared] if calibrated else order)
+
+
+def _with_sparse_covariances(found: ArrowSolution, system: NetworkRows) -> ArrowSolution | None:
+    """Return the step with the marginals of every variable, not by GTSAM."""
+    marginals = sparse_marginals(system)
+    if marginals is None:
+        return None
+    by_keyframe, by_landmark, shared = marginals
+    return replace(
+        found,
+        covariance=by_keyframe,
+        landmark_covariance=by_landmark,
+        calibration_covariance=shared,
+    )
 
 
 def _with_covariances(

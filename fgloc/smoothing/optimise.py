@@ -132,11 +132,8 @@ def _in_sigmas(step: ArrowSolution | None, final: ArrowSolution) -> float | None
         return None
     variance = np.diagonal(final.covariance, axis1=1, axis2=2)
     shared = np.diag(final.calibration_covariance)
-    return float(
-        np.sqrt(
-            max(
-                np.max(step.step**2 / variance),
-                np.max(step.calibration_step**2 / shared, initial=0.0),
-            )
-        )
-    )
+    squared = [step.step**2 / variance, step.calibration_step**2 / shared]
+    if final.landmark_covariance is not None:
+        seen = np.diagonal(final.landmark_covariance, axis1=1, axis2=2)
+        squared.append(step.landmark_step**2 / seen)
+    return float(np.sqrt(max(np.max(each, initial=0.0) for each in squared)))

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from fgloc.core.drive import Drive
+from fgloc.core.measurements import LandmarkSightings, Scans
 from fgloc.smoothing.keyframes import MAX_GAP_S
 
 SILENT_S, SILENT_PERIODS = 1.0, 5.0
@@ -24,7 +25,11 @@ def remarks(drive: Drive, counts: Mapping[str, tuple[int, int]]) -> tuple[str, .
         if counts.get(sensor.sensor, (1, 0))[0] > 0:
             continue
         inside = (sensor.stamps_ns >= stamps[0]) & (sensor.stamps_ns <= stamps[-1])
-        if inside.any():
+        if isinstance(sensor, Scans) and inside.any():
+            reason = "one lidar can be used, and two of its scans are needed at least"
+        elif isinstance(sensor, LandmarkSightings) and inside.any():
+            reason = "it does not say which landmark it sees; ekf-slam can do without that"
+        elif inside.any():
             reason = (
                 f"readings are more than {MAX_GAP_S:g} s apart: what happens between them is not "
                 "known"

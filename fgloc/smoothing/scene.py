@@ -36,6 +36,14 @@ class Scene:
     anchors: Floats
     """(L, 2) anchors of the walls [m], map axes."""
 
+    def mount(self, u: Floats) -> tuple[float, float, float]:
+        """Return the lidar's pose on the robot at the calibration u (G,)."""
+        x, y, yaw = self.scans.mount
+        if self.block.start == self.block.stop:
+            return x, y, yaw
+        off = u[self.block].tolist()
+        return x + off[0], y + off[1], yaw + off[2]
+
     def table(self, loss: Loss) -> FactorTable:
         """Return one factor for each segment that belongs to a wall."""
         used = np.flatnonzero(self.wall >= 0)
@@ -61,19 +69,18 @@ class Scene:
         landmarks: Floats,
         covariance: Floats | None,
         poses: Floats,
-        given: Stamps | None = None,
+        u: Floats,
     ) -> Walls:
-        """Return the walls at a solution: landmarks (…, 2) and their covariances, poses (K, 3).
+        """Return the walls at a solution.
 
-        `given` replaces which wall each segment shows (M,).
+        Landmarks (…, 2) and their covariances, the robot's poses (K, 3) and the calibration (G,).
         """
-        wall = self.wall if given is None else given
         count = self.anchors.shape[0]
         mine = landmarks[self.first : self.first + count]
         normal = wrap(mine[:, 0])
-        used = np.flatnonzero(wall >= 0)
-        seen, of = self.segments.select(used), wall[used]
-        lidar = lidar_poses(poses[self.at[seen.scan]], self.scans.mount)
+        used = np.flatnonzero(self.wall >= 0)
+        seen, of = self.segments.select(used), self.wall[used]
+        lidar = lidar_poses(poses[self.at[seen.scan]], self.mount(u))
         c, s = np.cos(lidar[:, 2]), np.sin(lidar[:, 2])
         there = lidar[:, :2] + np.stack(
             [

@@ -75,7 +75,7 @@ def pulled(parameters: Sequence[Parameter], u: Floats, covariance: Floats | None
 def _solve(drive: Drive, settings: Settings, front: Front | None) -> tuple[Problem, Solution]:
     """Solve a drive with all its sensors, without slip."""
     problem = build_problem(drive, settings, front)
-    if front is not None and front.segments.scan.size:
+    if front is not None:
         return solve_with_walls(problem, front, settings)
     return problem, optimise(problem, settings)
 

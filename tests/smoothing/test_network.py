@@ -8,6 +8,7 @@ import pytest
 from fgloc.core.measurements import Floats
 from fgloc.factors.tables import FactorTable, Kind, Linearised
 from fgloc.smoothing.arrow import ChainRows
+from fgloc.smoothing.marginals import sparse_marginals
 from fgloc.smoothing.network import NetworkRows, gather, step_of
 
 K, L = 7, 3
@@ -120,6 +121,45 @@ def test_step_is_that_of_the_dense_rows(g: int, width: int, damping: float) -> N
     assert found.calibration_covariance is not None
     last = slice(K * width + 2 * L, None)
     np.testing.assert_allclose(found.calibration_covariance, covariance[last, last], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("g", "width"), [(0, 3), (2, 3), (3, 4)])
+def test_marginals_without_gtsam_are_those_of_the_dense_rows(g: int, width: int) -> None:
+    linear, prior, dense = random_network(g, width)
+    system = gather(linear, K, width, L, prior)
+    assert isinstance(system, NetworkRows)
+    marginals = sparse_marginals(system)
+    assert marginals is not None
+    information = dense[:, :-1].T @ dense[:, :-1]
+    covariance = np.linalg.inv(information)
+    for k in range(K):
+        block = slice(k * width, (k + 1) * width)
+        np.testing.assert_allclose(marginals[0][k], covariance[block, block], rtol=1e-6)
+    for k in range(L):
+        block = slice(K * width + 2 * k, K * width + 2 * k + 2)
+        np.testing.assert_allclose(marginals[1][k], covariance[block, block], rtol=1e-6)
+    last = slice(K * width + 2 * L, None)
+    np.testing.assert_allclose(marginals[2], covariance[last, last], rtol=1e-6)
+
+
+def test_numbers_of_very_different_weight_have_marginals() -> None:
+    # Every keyframe's second number is known 10⁵ times as well as the others, which GTSAM takes
+    # for indeterminate when it looks for marginals.
+    linear, prior, dense = random_network(2, 3)
+    sharp = np.array([1.0, 1e5, 1.0])
+    for _, rows, _ in linear:
+        rows.by_first[:] *= sharp
+        if rows.by_second.shape[2] == 3:
+            rows.by_second[:] *= sharp
+    found = step_of(gather(linear, K, 3, L, prior), with_covariance=True)
+    assert found is not None
+    assert found.covariance is not None
+    columns = np.concatenate([np.tile(sharp, K), np.ones(2 * L + 2)])
+    jacobian = dense[:, :-1]
+    expected = np.linalg.inv(jacobian.T @ jacobian) / np.outer(columns, columns)
+    for k in range(K):
+        block = slice(3 * k, 3 * k + 3)
+        np.testing.assert_allclose(found.covariance[k], expected[block, block], rtol=1e-5)
 
 
 def test_a_chain_stays_a_chain() -> None:
