@@ -74,9 +74,9 @@ def test_unknown_landmarks_are_mapped() -> None:
     # Each is seen some dozen times at 5 cm, from poses that are known to 1 cm and 0.6°: 4 cm at 4 m.
     assert np.hypot(*(found.positions - POSTS).T).max() < 0.12
     assert found.sightings.sum() == sightings(drive).stamps_ns.size
-    assert scores(result, drive).ate_rmse_m < 0.5 * scores(
-        Model1().estimate(drive), drive
-    ).ate_rmse_m
+    assert (
+        scores(result, drive).ate_rmse_m < 0.5 * scores(Model1().estimate(drive), drive).ate_rmse_m
+    )
     assert "converged" in result.convergence
 
 
