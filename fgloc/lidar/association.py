@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from fgloc.core.compiled import compiled
 from fgloc.core.geometry import compose, wrap, wrap_scalar
@@ -20,6 +21,9 @@ from fgloc.lidar.walls import Walls
 
 GATE = 11.8
 """Squared normalised distance up to which a segment is of a wall: 99.7 % of two numbers."""
+
+NEAR_M, NEAR_RAD, OFTEN = 0.15, np.radians(10.0), 4
+"""A wall this near [m], [rad] to one that was seen so many times as often is a bad view of it."""
 
 
 @dataclass(frozen=True)
@@ -215,20 +219,7 @@ def duplicates(walls: Walls, slack: Slack, noise: Floats) -> Stamps:
     same = np.arange(n)
     if n < 2:
         return same
-    turn = wrap(walls.normal[:, None] - walls.normal[None])
-    tangent = np.stack([-np.sin(walls.normal), np.cos(walls.normal)], axis=1)
-    facing = np.stack([np.cos(walls.normal), np.sin(walls.normal)], axis=1)
-    ends = walls.ends
-    middle = ends.mean(axis=1)
-    # Wall j as wall i sees it: where its ends lie along i, and how far its middle is off.
-    along = (
-        np.einsum("jek,ik->ije", ends, tangent)
-        - np.einsum("ik,ik->i", walls.anchor, tangent)[:, None, None]
-    )
-    off = (
-        np.einsum("jk,ik->ij", middle, facing)
-        - (np.einsum("ik,ik->i", walls.anchor, facing) + walls.offset)[:, None]
-    )
+    turn, along, off = _seen(walls)
     apart = np.maximum(
         along.min(axis=2) - walls.reach[:, 1][:, None],
         walls.reach[:, 0][:, None] - along.max(axis=2),
@@ -259,3 +250,36 @@ def duplicates(walls: Walls, slack: Slack, noise: Floats) -> Stamps:
             keep, gone = (i, j) if walls.sightings[i] >= walls.sightings[j] else (j, i)
             same[same == gone] = keep
     return same
+
+
+def hidden(walls: Walls) -> npt.NDArray[np.bool_]:
+    """Return (L,) which walls lie so close to a far better known one that it would hide them.
+
+    They are bad sightings of that wall: within 15 cm and 10° of one that was seen four times as
+    often, along more than half of their length. O(L²) numpy.
+    """
+    if walls.normal.size < 2:
+        return np.zeros(walls.normal.size, np.bool_)
+    turn, along, off = _seen(walls)
+    low, high = along.min(axis=2), along.max(axis=2)
+    right, left = walls.reach[:, :1], walls.reach[:, 1:]
+    overlap = np.minimum(high, left) - np.maximum(low, right)
+    close = (np.abs(off) < NEAR_M) & (np.abs(turn) < NEAR_RAD) & (overlap > 0.5 * (high - low))
+    often = walls.sightings[:, None] >= OFTEN * walls.sightings[None]
+    return np.asarray((close & often).any(axis=0))
+
+
+def _seen(walls: Walls) -> tuple[Floats, Floats, Floats]:
+    """Return how wall i sees wall j: turned by (L, L), ends along i (L, L, 2), middle off (L, L).
+
+    Along the tangent and the normal of wall i, from its anchor's foot.
+    """
+    turn = wrap(walls.normal[:, None] - walls.normal[None])
+    tangent = np.stack([-np.sin(walls.normal), np.cos(walls.normal)], axis=1)
+    facing = np.stack([np.cos(walls.normal), np.sin(walls.normal)], axis=1)
+    ends = walls.ends
+    along = np.einsum("jek,ik->ije", ends, tangent)
+    along -= np.einsum("ik,ik->i", walls.anchor, tangent)[:, None, None]
+    off = np.einsum("jk,ik->ij", ends.mean(axis=1), facing)
+    off -= (np.einsum("ik,ik->i", walls.anchor, facing) + walls.offset)[:, None]
+    return turn, along, off

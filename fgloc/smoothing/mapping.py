@@ -17,7 +17,14 @@ from fgloc.core.measurements import Floats, Stamps
 from fgloc.errors import FglocError
 from fgloc.factors.robust import PLAIN
 from fgloc.factors.tables import FactorTable, Kind
-from fgloc.lidar.association import Slack, associate, duplicates, lidar_poses, single_noise
+from fgloc.lidar.association import (
+    Slack,
+    associate,
+    duplicates,
+    hidden,
+    lidar_poses,
+    single_noise,
+)
 from fgloc.lidar.walls import Map, Marks, Walls
 from fgloc.smoothing.forward import placed
 from fgloc.smoothing.front import Front
@@ -244,12 +251,12 @@ def _associated(
     same = duplicates(walls, slack, noise)
     wall = np.where(wall >= 0, same[wall], -1)
     sightings = np.bincount(wall[wall >= 0], minlength=walls.normal.size)
+    walls = replace(walls, sightings=sightings.astype(np.int64))
     kept = np.flatnonzero(sightings >= FEWEST)
     place = np.full(walls.normal.size, -1, np.int64)
     place[kept] = np.arange(kept.size)
     wall = np.where(wall >= 0, place[wall], -1)
-    walls = replace(walls.select(kept), sightings=sightings[kept].astype(np.int64))
-    return walls, wall
+    return walls.select(kept), wall
 
 
 def _told_by_walls(scene: Scene, front: Front, walls: Walls, wall: Stamps) -> tuple[Stamps, Stamps]:
