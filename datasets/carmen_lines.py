@@ -18,10 +18,12 @@ import numpy as np
 
 from fgloc.core.measurements import Floats, Stamps
 from fgloc.datasets.text import (
+    LATEST_S,
     NOT_A_NUMBER,
     Integers,
     Mask,
     Rows,
+    countable_seconds,
     finite_rows,
     forward_stamps,
     numbered,
@@ -145,19 +147,21 @@ def read_log(path: Path, rejected: Counter[str], *, timed: bool = True) -> Log:
     pose = tail[:, :3] if gfs else tail[:, 3:6]
     readings = Readings(Poses(at_scans, pose, scans.lines), tail[:, :3], values[:, 1 : 1 + beams])
     good = finite_rows(odometry_columns[:, [0, 1, 2, stamp]], rejected, f"odometry {NOT_A_NUMBER}")
-    odometry = odometry.select(good)
     usable = finite_rows(
         tail[:, [*range(3 if gfs else 6), stamp]], rejected, f"scan {NOT_A_NUMBER}"
     )
-    readings = readings.select(usable)
+    if timed:
+        good[good] = countable_seconds(odometry_columns[good, stamp], rejected, "odometry ")
+        usable[usable] = countable_seconds(tail[usable, stamp], rejected, "scan ")
+    odometry, readings = odometry.select(good), readings.select(usable)
     if timed:
         odometry = odometry.select(forward_stamps(odometry.stamps, rejected, "odometry "))
     return Log(odometry, readings, gfs)
 
 
 def _finite(seconds: Floats) -> Floats:
-    """Return times with 0 for what is no number; such lines are left out afterwards."""
-    return np.where(np.isfinite(seconds) & (np.abs(seconds) < 9e9), seconds, 0.0)
+    """Return times with 0 for what is none; such lines are left out afterwards."""
+    return np.where(np.abs(seconds) < LATEST_S, seconds, 0.0)
 
 
 def _without_host(text: str) -> str:

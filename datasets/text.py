@@ -26,6 +26,9 @@ TRUNCATED = "truncated line"
 NOT_A_NUMBER = "not a number"
 REPEATED = "repeated stamp"
 BACKWARD = "time goes back"
+OUT_OF_RANGE = "stamp out of range"
+LATEST_S = 9e9
+"""Times from here on do not fit into int64 nanoseconds [s]."""
 
 
 @dataclass(frozen=True)
@@ -214,6 +217,13 @@ def steady_stamps(stamps: Stamps, rejected: Counter[str], prefix: str = "") -> M
     keep: Mask = np.asarray(stamps >= np.maximum.accumulate(stamps))
     count(rejected, prefix + BACKWARD, int((~keep).sum()))
     return keep
+
+
+def countable_seconds(seconds: Floats, rejected: Counter[str], prefix: str = "") -> Mask:
+    """Return the mask of times [s] that fit into int64 nanoseconds, counting the others."""
+    good: Mask = np.asarray(np.abs(seconds) < LATEST_S)
+    count(rejected, prefix + OUT_OF_RANGE, int((~good).sum()))
+    return good
 
 
 def seconds_to_ns(seconds: Floats) -> Stamps:

@@ -7,8 +7,13 @@ beside `Barcodes.dat` (subject, barcode) and `Landmark_Groundtruth.dat` (subject
 Measurements name what they saw by barcode; subjects 1-5 are the robots, 6-20 the landmarks.
 
 The odometry is what the robots were told to do, `t v w`: it holds until the next line. Against the
-Vicon poses of robots 1 and 2 of data set 6 it comes 0.2 s too early, and while a robot turns its
-middle is slower than v by 0.09 m times the yaw rate, as if v were that of a point on the outside.
+Vicon poses of robots 1 and 2 of data set 6 it comes 0.2 s too early, and a robot that turns while
+it drives is slower than told: with 0.4 rad/s by 0.44 of its speed, with 0.12 rad/s by 0.15.
+
+What is published as the range is a depth: the distance along the camera's axis, times 1.03 on robot
+1 and 1.05 on robot 2. Taken for a distance it is off by up to 10 % at the edge of the picture, the
+same for as long as a mark stays there; as a depth by 1 % from picture to picture. Pictures are
+stamped 40 ms after they were taken.
 """
 
 from __future__ import annotations
@@ -30,6 +35,7 @@ from fgloc.datasets.text import (
     NOT_A_NUMBER,
     Integers,
     count,
+    countable_seconds,
     finite_rows,
     forward_stamps,
     parse_rows,
@@ -49,13 +55,23 @@ SCALE_PRIOR = 0.05
 """Relative prior sigma of the speed."""
 TURN_PRIOR = 0.1
 """Relative prior sigma of the yaw rate."""
-TURN_LOSS_M, TURN_LOSS_PRIOR_M = 0.09, 0.03
-"""Speed lost in a turn for its yaw rate, and prior sigma [m/s per rad/s]."""
+TURN_LOSS_S, TURN_LOSS_PRIOR_S = 1.1, 0.3
+"""Share of the speed that is lost in a turn, for its yaw rate, and prior sigma [1 per rad/s]."""
 NOISE = WheelNoise(rolling=0.03, lateral=0.01, turning=0.1, veering=0.05, standing=1e-3)
 """What the motion differs from the commands by, beyond scale and delay: the residuals of robots 1
 and 2 over one and five seconds."""
-RANGE_SIGMA_M, BEARING_SIGMA_RAD = 0.15, 0.015
-"""Noise of a sighting: between 0.07 and 0.18 m, 0.01 and 0.02 rad, depending on the robot."""
+LATE_NS = 40_000_000
+"""How long after it was taken a picture is stamped [ns]."""
+DEPTH_SCALE = 1.04
+"""What a depth is published as, over what it is: the middle of the two robots'."""
+MOUNT_SIGMA = (0.05, 0.02, 0.02)
+"""The camera is said to be in the robot's middle; looser, for what is wrong with its depths [m, m,
+rad]: a scale that is 1 % off is 4 cm at the usual distance."""
+RANGE_SIGMA_M, BEARING_SIGMA_RAD = 0.06, 0.02
+"""Noise of a sighting [m], [rad]: 1 % of 1 to 7 m and as much for the scale, 0.01 to 0.02 rad, and
+a half of both is the same for seconds."""
+WIDEST_RAD = 1.2
+"""No camera sees a mark further aside [rad]; depth and distance part there."""
 SURVEY_FLOOR_M = 1e-3
 """Landmarks are not known better [m]: the stated sigmas are those of a mean, down to 0.04 mm."""
 
@@ -76,13 +92,13 @@ def runs(folder: Path) -> list[str]:
 def base() -> WheeledBase:
     """Return the body odometry of a robot that loses speed in turns.
 
-    A fourth pseudo-wheel `bend` counts how far the robot turned either way [rad]; `turn_loss` [m]
-    is what that takes from the way forward.
+    A fourth pseudo-wheel `bend` adds up speed times yaw rate, whichever way [m/s]; `turn_loss` [s]
+    times that is lost of the way forward.
     """
     plain = body_odometry()
     scale, turn = plain.parameters
-    loss = Parameter("turn_loss", TURN_LOSS_M, TURN_LOSS_PRIOR_M, scale=TURN_LOSS_M)
-    bend = Wheel("bend", -TURN_LOSS_M, 0.0, kind="linear")
+    loss = Parameter("turn_loss", TURN_LOSS_S, TURN_LOSS_PRIOR_S, "s", scale=TURN_LOSS_S)
+    bend = Wheel("bend", -TURN_LOSS_S, 0.0, kind="linear")
     *driven, side = plain.wheels
     return replace(
         plain,
@@ -106,6 +122,7 @@ def load(folder: Path, run: str, name: str) -> Drive:
     rejected: Counter[str] = Counter()
     file = directory / f"Robot{robot}_Odometry.dat"
     odometry, _ = _table(file, 3, rejected, "odometry ")
+    odometry = odometry[countable_seconds(odometry[:, 0], rejected, "odometry ")]
     stamps = seconds_to_ns(odometry[:, 0])
     later = forward_stamps(stamps, rejected, "odometry ")
     stamps, odometry = stamps[later], odometry[later]
@@ -114,7 +131,8 @@ def load(folder: Path, run: str, name: str) -> Drive:
     kinematics = base()
     held = odometry[:-1, 1:] * (np.diff(stamps)[:, None] * 1e-9)
     zero = np.zeros(held.shape[0])
-    angles = np.stack([held[:, 0], zero, held[:, 1], np.abs(held[:, 1])], axis=1)
+    bend = held[:, 0] * np.abs(odometry[:-1, 2])
+    angles = np.stack([held[:, 0], zero, held[:, 1], bend], axis=1)
     return Drive(
         name,
         Robot(f"MRCLAM robot {robot}", kinematics, NOISE),
@@ -124,7 +142,7 @@ def load(folder: Path, run: str, name: str) -> Drive:
         rejected=dict(rejected),
         notes=(
             "The odometry is what the robot was told to do; it is taken to do so 0.2 s later.",
-            "Sightings of other robots are left out.",
+            "Sightings of other robots are left out; ranges are taken for depths along the camera.",
         ),
     )
 
@@ -175,6 +193,8 @@ def _sightings(directory: Path, robot: str, rejected: Counter[str]) -> LandmarkS
 
     file = directory / f"Robot{robot}_Measurement.dat"
     table, lines = _table(file, 4, rejected, "sighting ")
+    timely = countable_seconds(table[:, 0], rejected, "sighting ")
+    table, lines = table[timely], lines[timely]
     seen = np.array([subject_of.get(b, -1) for b in _whole(table[:, 1], lines, file).tolist()])
     known = np.isin(seen, survey.landmark)
     others = (seen >= 1) & (seen <= ROBOTS)
@@ -182,17 +202,20 @@ def _sightings(directory: Path, robot: str, rejected: Counter[str]) -> LandmarkS
     count(rejected, "sighting of an unknown barcode", int((~others & ~known).sum()))
     near = known & ~(table[:, 2] > 0.0)
     count(rejected, "sighting without a distance", int(near.sum()))
-    known &= ~near
-    stamps = seconds_to_ns(table[known, 0])
+    aside = known & ~near & ~(np.abs(table[:, 3]) < WIDEST_RAD)
+    count(rejected, "sighting out of the camera's sight", int(aside.sum()))
+    known &= ~near & ~aside
+    stamps = seconds_to_ns(table[known, 0]) - LATE_NS
     steady = steady_stamps(stamps, rejected, "sighting ")
     return LandmarkSightings(
         "barcodes",
         stamps[steady],
         seen[known][steady].astype(np.int64),
-        table[known, 2][steady],
+        (table[known, 2] / (DEPTH_SCALE * np.cos(table[known, 3])))[steady],
         table[known, 3][steady],
         range_sigma=RANGE_SIGMA_M,
         bearing_sigma=BEARING_SIGMA_RAD,
+        mount_sigma=MOUNT_SIGMA,
         survey=survey,
     )
 
@@ -202,6 +225,7 @@ def _truth(file: Path, rejected: Counter[str]) -> Reference | None:
     if not file.is_file():
         return None
     table, _ = _table(file, 4, rejected, "truth ")
+    table = table[countable_seconds(table[:, 0], rejected, "truth ")]
     stamps = seconds_to_ns(table[:, 0])
     later = forward_stamps(stamps, rejected, "truth ")
     poses = np.column_stack([table[later, 1:3], np.unwrap(table[later, 3])])

@@ -8,6 +8,8 @@ contestant runs in a process of its own:
 - isam2: the same engine with this project's factors in iSAM2 instead of its own elimination;
 - native: GTSAM's IncrementalFixedLagSmoother on BetweenFactorPose2 and PoseTranslationPrior2D,
   QR, relinearised as the design asks for, the calibration fixed at nominal;
+- slam20, slam60, slam200: the engine on a ring road with about so many walls, seen by a lidar at
+  10 Hz; the time is that of everything between two scans, and a fifth of the keyframes are driven;
 - walls: the incremental graph with 60 walls in the window beside wheels and fixes, of which each
   keyframe sees 8 and another set every half second.
 
@@ -33,6 +35,7 @@ from fgloc.core.drive import Drive
 from fgloc.core.geometry import compose, inverse
 from fgloc.core.measurements import Floats
 from fgloc.experiments.bench_batch import FIX_SIGMA, bench_drive, bench_drive_with_truth
+from fgloc.experiments.bench_slam import localise_scans, ring_drive
 from fgloc.factors.tables import FactorTable, Kind
 from fgloc.online.engine import OnlineEngine
 from fgloc.online.online import start_of
@@ -42,7 +45,8 @@ from fgloc.online.settings import OnlineSettings
 from fgloc.smoothing.build import build_problem
 from fgloc.smoothing.settings import Settings
 
-CONTESTANTS = ("online", "isam2", "native", "walls")
+SLAM = {"slam20": 20, "slam60": 60, "slam200": 200}
+CONTESTANTS = ("online", "isam2", "native", "walls", *SLAM)
 WALLS, SEEN, STRIDE, DWELL = 60, 8, 7, 5
 WALL_SIGMA = (0.02, 0.02)
 FIX_EVERY = 10
@@ -188,12 +192,19 @@ RUN: dict[str, Callable[[Drive], Floats]] = {
 
 def _contest(name: str, keyframes: int) -> dict[str, float]:
     """Run one contestant in this process and return its figures."""
-    keyframes = keyframes // 5 if name == "walls" else keyframes
-    drive = bench_drive(keyframes, fix_every=FIX_EVERY)
-    RUN[name](bench_drive(SETTLE, fix_every=FIX_EVERY))  # loads and compiles outside the clock
-    gc.collect()
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    seconds = RUN[name](drive)[SETTLE:] * 1e3
+    keyframes = keyframes // 5 if name in ("walls", *SLAM) else keyframes
+    if name in SLAM:
+        scans = ring_drive(SLAM[name], keyframes / 10.0)
+        localise_scans(ring_drive(SLAM[name], SETTLE / 10.0))
+        gc.collect()
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        seconds = localise_scans(scans)[SETTLE:] * 1e3
+    else:
+        drive = bench_drive(keyframes, fix_every=FIX_EVERY)
+        RUN[name](bench_drive(SETTLE, fix_every=FIX_EVERY))  # loads and compiles outside the clock
+        gc.collect()
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        seconds = RUN[name](drive)[SETTLE:] * 1e3
     after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     tenth = seconds.size // 10
     first, last = seconds[:tenth], seconds[-tenth:]

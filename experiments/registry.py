@@ -14,6 +14,7 @@ MODULES: dict[str, str] = {
     "seed-d-nominal": "fgloc.experiments.seed_d.nominal",
     "seed-b": "fgloc.experiments.rooms.seed_b",
     "seed-c": "fgloc.experiments.rooms.seed_c",
+    "csail": "fgloc.experiments.csail",
     "mrclam": "fgloc.experiments.mrclam",
 }
 """Modules with a constant EXPERIMENT, by the experiment's id, in the order of the list."""

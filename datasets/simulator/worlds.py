@@ -22,9 +22,11 @@ A world is a TOML file, one of `datasets/worlds` or the user's own:
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -34,12 +36,15 @@ from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
 from fgloc.toml_file import TomlFile, read_toml
 
+T = TypeVar("T")
 NAMES = ("seed-b-room", "seed-c-1", "seed-c-2", "office", "hall")
 """Worlds that come with the package."""
 SAGITTA_M = 0.002
 """How far the pieces of a curved wall are off it at most [m]."""
 MOST_PIECES = 100_000
 """No world has more walls; cutting finer would only take time."""
+FARTHEST_M, LONGEST_S = 1e4, 36_000.0
+"""No way leads farther away [m], and no lap takes longer [s]: it would fill the memory."""
 STYLES = ("along", "sideways")
 
 
@@ -127,23 +132,22 @@ def parse_world(file: TomlFile, name: str) -> World:
     course = file.table(raw["course"], CourseTable, "course")
     pieces: list[Floats] = [np.zeros((0, 4))]
     curved: list[bool] = []
-    for key, kind in (("walls", WallTable), ("arcs", ArcTable)):
-        entries = raw.get(key, [])
-        if not isinstance(entries, list):
-            raise file.error(f"{key} must be written as [[{key}]], one table each", key)
-        for k, entry in enumerate(entries):
-            table = file.table(entry, kind, key)
-            try:
-                found = _straight(table) if isinstance(table, WallTable) else _arc(table)
-            except ValueError as error:
-                raise file.error(f"{key}, table {k + 1}: {error}", key) from None
-            pieces.append(found)
-            curved += [key == "arcs"] * found.shape[0]
+    for k, entry in enumerate(_entries(file, raw, "walls")):
+        table = file.table(entry, WallTable, "walls")
+        pieces.append(_named(file, "walls", k, _straight, table))
+        curved += [False] * pieces[-1].shape[0]
+    for k, entry in enumerate(_entries(file, raw, "arcs")):
+        pieces.append(_named(file, "arcs", k, _arc, file.table(entry, ArcTable, "arcs")))
+        curved += [True] * pieces[-1].shape[0]
     if len(curved) > MOST_PIECES:
         raise file.error(f"{len(curved)} pieces of wall are more than {MOST_PIECES}", "walls")
     waypoints = np.array(course.waypoints, dtype=np.float64).reshape(-1, 2)
     file.check_number(course.speed, 1e-3, "course", "speed")
     apart = np.hypot(*np.diff(waypoints, axis=0, append=waypoints[:1]).T)
+    if not bool(np.all(np.abs(waypoints) <= FARTHEST_M)):
+        raise file.error(f"waypoints must lie within {FARTHEST_M:g} m of the origin", "course")
+    if float(apart.sum()) > LONGEST_S * course.speed:
+        raise file.error(f"a lap would take more than {LONGEST_S:g} s at this speed", "course")
     if waypoints.shape[0] < 2 or not np.all(apart[: None if course.closed else -1] > 0.0):
         raise file.error("at least two waypoints, each another than the one before", "course")
     if not course.laps or not set(course.laps) <= set(STYLES):
@@ -158,6 +162,22 @@ def parse_world(file: TomlFile, name: str) -> World:
         course.speed,
         course.laps,
     )
+
+
+def _entries(file: TomlFile, raw: dict[str, Any], key: str) -> list[Any]:
+    """Return the tables of `[[key]]`; FglocError if it is something else."""
+    entries = raw.get(key, [])
+    if not isinstance(entries, list):
+        raise file.error(f"{key} must be written as [[{key}]], one table each", key)
+    return entries
+
+
+def _named(file: TomlFile, key: str, k: int, make: Callable[[T], Floats], table: T) -> Floats:
+    """Return the pieces that `make` makes of table `k`; its ValueError becomes one of the file."""
+    try:
+        return make(table)
+    except ValueError as error:
+        raise file.error(f"{key}, table {k + 1}: {error}", key) from None
 
 
 def _straight(table: WallTable) -> Floats:

@@ -11,7 +11,7 @@ from fgloc.commands.places import check_file, check_folder
 from fgloc.errors import FglocError
 from fgloc.experiments.experiment import Context, Experiment
 from fgloc.experiments.registry import every, find
-from fgloc.experiments.warm_up import compile_kernels
+from fgloc.experiments.warm_up import DRIVE, ROOM, compile_kernels
 from fgloc.report.cells import new_table
 from fgloc.report.experiment_files import write_experiment
 from fgloc.report.experiment_json import report_json
@@ -65,7 +65,7 @@ def _run(args: argparse.Namespace) -> None:
     begin = time.perf_counter()
     with ProgressLines(experiment.id) as progress, telling_of_compilation(progress.say):
         # Compiled here if need be, or every worker would compile them for itself.
-        compile_kernels()
+        compile_kernels(DRIVE, ROOM)
         context = Context(args.data, args.processes, args.seeds, progress.step)
         report = experiment.run(context)
     seconds = time.perf_counter() - begin

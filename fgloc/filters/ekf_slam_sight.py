@@ -59,7 +59,8 @@ def missed(
         sight(x, mount, shape[PLACE_X], shape[PLACE_Y], z)
         middle = 0.5 * (field[FIELD_LEFT] + field[FIELD_RIGHT])
         half = 0.5 * EDGE * (field[FIELD_LEFT] - field[FIELD_RIGHT])
-        return z[0] < EDGE * field[FIELD_RANGE] and abs(wrap_scalar(z[1] - middle)) < half
+        near = z[0] < EDGE * field[FIELD_RANGE]
+        return bool(near and abs(wrap_scalar(z[1] - middle)) < half)
     px, py = 0.5 * (shape[RIGHT_X] + shape[LEFT_X]), 0.5 * (shape[RIGHT_Y] + shape[LEFT_Y])
     distance = sight(x, mount, px, py, z)
     if not (stream[MIN_RANGE] < distance < EDGE * stream[MAX_RANGE]):

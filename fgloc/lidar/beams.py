@@ -110,10 +110,10 @@ def gather(points: Floats, valid: npt.NDArray[np.bool_], rules: Rules, into: Bea
     """Return the valid beams of a scan (B, 2), (B,) in order, as the first part of `into`.
 
     A full turn begins behind missing beams or the largest jump of the range, so that few walls
-    lie across the seam. Weights take how obliquely a beam meets its wall from the flatter side of its
-    neighbourhood, and grow where neighbours differ by more than the stated noise: SICK scanners
-    take every other beam half a scan later, in which the robot has moved, and dark or shiny walls
-    are noisier than others. O(B).
+    lie across the seam. Weights take how obliquely a beam meets its wall from the flatter side of
+    its neighbourhood, and shrink where neighbours differ by more than the stated noise: a SICK
+    scanner takes every other beam half a scan later, in which the robot has moved, and dark or
+    shiny walls are noisier than others. O(B).
     """
     n = 0
     for b in range(valid.size):

@@ -17,13 +17,29 @@ NOT_KNOWN = (UNKNOWN, UNKNOWN, np.pi)
 """Standard deviations [m, m, rad] of a displacement where scans did not match."""
 
 
+def guess_sigma(steps: Floats) -> Floats:
+    """Return standard deviations (M, 3) [m, m, rad] of displacements (M, 3) by unknown wheels.
+
+    2 cm and a fifth of the way; 0.02 rad, 0.05 rad a metre and a fifth of the turn. That covers the
+    worst recorded drive; wheels that are known better deserve less.
+    """
+    way, turn = np.hypot(steps[:, 0], steps[:, 1]), np.abs(wrap(steps[:, 2]))
+    position = 0.02 + 0.2 * way
+    return np.stack([position, position, 0.02 + 0.05 * way + 0.2 * turn], axis=1)
+
+
+WIDER = 2.5
+"""How much wider is searched where the best of the first window is far off or fits badly …"""
+SURE = 0.6
+"""… which is with less than this share of paired points …"""
+BETTER = 0.1
+"""… and how much more the new pose must score to be taken."""
+
+
 @dataclass(frozen=True)
 class ChainSettings:
     """How consecutive scans are matched."""
 
-    sigma: tuple[float, float, float] = (0.2, 0.2, 0.17)
-    """Standard deviations of a guessed displacement [m, m, rad] where none are given; three of
-    them are searched."""
     scans: int = 12
     """Most scans in the map that the next one is matched to."""
     distance: float = 0.3
@@ -53,17 +69,17 @@ class Chain:
     matched: Mask
     """(N-1,) whether the match held."""
 
-    def fused(self, guess: Floats, sigma: Floats) -> tuple[Floats, Floats]:
+    def fused(self, guess: Floats, sigma: Floats | None = None) -> tuple[Floats, Floats]:
         """Return displacements (N-1, 3) and covariances (N-1, 3, 3) with the guess's information.
 
         `guess` (N, 3) is the path that was given, `sigma` (N-1, 3) how well its displacements are
-        known [m, m, rad], or (3,) for all of them. What loop closure needs, where scans alone leave
-        a direction open.
+        known [m, m, rad], or (3,) for all of them; None: as `guess_sigma` says.
         """
         steps = between(guess[:-1], guess[1:])
         information = np.linalg.inv(self.covariance)
         weight = np.zeros(self.covariance.shape)
-        weight[:, range(3), range(3)] = 1.0 / np.square(sigma)
+        spread = guess_sigma(steps) if sigma is None else np.asarray(sigma)
+        weight[:, range(3), range(3)] = 1.0 / np.square(spread)
         covariance = np.linalg.inv(information + weight)
         off = steps - self.relative
         off[:, 2] = wrap(off[:, 2])
@@ -94,12 +110,12 @@ def match_chain(
     """Return the displacement between consecutive scans, `guess` (N, 3) being a drifting path.
 
     Only the guess's displacements are used; `sigma` (N-1, 3) are their standard deviations [m, m,
-    rad], where known. About 5 ms a scan.
+    rad], `guess_sigma`'s where they are not known. Three of them are searched. About 5 ms a scan.
     """
     count = len(scans)
     steps = between(guess[:-1], guess[1:])
     steps[:, 2] = wrap(steps[:, 2])
-    spread = np.tile(np.asarray(settings.sigma), (max(count - 1, 0), 1)) if sigma is None else sigma
+    spread = guess_sigma(steps) if sigma is None else sigma
     poses = np.zeros((count, 3))
     relative, matched = steps.copy(), np.zeros(max(count - 1, 0), bool)
     covariance = np.zeros((max(count - 1, 0), 3, 3))
@@ -130,11 +146,20 @@ def _to_map(
     # Points far off say little of where the scan is that near ones do not, and cost a wide grid.
     around = np.hypot(*(local.points - guess[:2]).T) < settings.near + 1.0
     likelihood = correlative.field(thin(local.select(around), 0.1))
-    half = np.maximum(3.0 * sigma, (0.1, 0.1, 0.02))
-    pose, score = correlative.search(likelihood, coarse, guess, half, sigma=sigma)
-    if score < 0.0:
-        return None
-    found = match(reference(local), scan, guess, settings.matching, pose)
-    if not found.converged or found.overlap < settings.least_overlap:
-        return None
-    return found
+    target = reference(local)
+    best: Match | None = None
+    best_score = 0.0
+    for widening in (1.0, WIDER):
+        spread = widening * sigma
+        half = np.maximum(3.0 * spread, (0.1, 0.1, 0.02))
+        pose, score = correlative.search(likelihood, coarse, guess, half, sigma=spread)
+        if score < (0.0 if best is None else best_score + BETTER):
+            continue
+        found = match(target, scan, guess, settings.matching, pose)
+        if found.converged and found.overlap >= settings.least_overlap:
+            best, best_score = found, score
+        # Wheels that slipped: the pose may be outside of what was searched.
+        central = bool(np.all(np.abs(pose - guess) < 0.5 * half))
+        if best is not None and central and best.overlap > SURE:
+            break
+    return best

@@ -10,14 +10,14 @@ the windows for the next round.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from fgloc.core.geometry import between, chain, wrap
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
-from fgloc.lidar.chain import key_scans
+from fgloc.lidar.chain import guess_sigma, key_scans
 from fgloc.lidar.consistency import NEIGHBOURS, accumulate, agreement, largest_agreeing, supported
 from fgloc.lidar.correlative import Field, search
 from fgloc.lidar.correlative import field as likelihood
@@ -57,8 +57,8 @@ class ClosureSettings:
     """Least share of points with a partner, both ways."""
     most_through: float = 0.08
     """Largest share of points which the other map's beams passed through."""
-    map_sigma: tuple[float, float, float] = (0.02, 0.02, 0.005)
-    """What the maps themselves are distorted by [m, m, rad], added to a closure's covariance."""
+    map_sigma: tuple[float, float, float] = (0.01, 0.01, 0.003)
+    """What a place's map is distorted by [m, m, rad] beside the drift inside it."""
     walk: tuple[float, float, float] = (0.01, 0.01, 0.003)
     """Random walk of the drive [m, m, rad, each per √m], added to its own covariance."""
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
@@ -100,7 +100,8 @@ def find_closures(
     """Return the loop closures of a drive of N scans, none where nothing is sure.
 
     `steps` (N-1, 3) are the displacements from scan to scan and `covariance` (N-1, 3, 3) theirs,
-    in the axes of the first of two scans, as `fgloc.lidar.chain.match_chain` gives them. About
+    in the axes of the first of two scans, as `fgloc.lidar.chain.match_chain` gives them; they are
+    taken to be known at least as well as by poor wheels (`fgloc.lidar.chain.guess_sigma`). About
     20 ms for every pair of places, of which there are at most `candidates` for each place in each
     round. FglocError where the shapes do not fit.
     """
@@ -132,7 +133,10 @@ class _Search:
         self.scans, self.steps, self.settings = scans, steps, settings
         length = np.hypot(steps[:, 0], steps[:, 1])
         walked = np.diag(np.square(settings.walk)) * length[:, None, None]
-        self.covariance = covariance + walked
+        # Where scans leave a direction open, the displacement is the wheels' guess of it.
+        spread = 1.0 / np.square(guess_sigma(steps))
+        known = np.linalg.inv(covariance) + spread[:, :, None] * np.eye(3)
+        self.covariance = np.linalg.inv(known) + walked
         start = np.zeros(3)
         self.chained = chain(steps, start) if len(scans) else np.zeros((0, 3))
         self.poses = self.chained
@@ -141,6 +145,7 @@ class _Search:
         self.path = accumulate(steps, self.covariance, self.chained)
         self.maps: dict[int, _Place] = {}
         self.tried: dict[tuple[int, int], Floats] = {}
+        self.compared = 0
         self.found: list[tuple[int, int, Floats, Floats, float, float]] = []
         self.rejected = dict.fromkeys(
             ("weak", "ambiguous", "edge", "overlap", "through", "loop", "lonely"), 0
@@ -165,7 +170,7 @@ class _Search:
             if len(self.found) == before:
                 break
             kept = self._believe()
-        return kept
+        return replace(kept, compared=self.compared, rejected=dict(self.rejected))
 
     def _guess(self, a: int, b: int) -> Floats:
         """Return where scan b is to scan a, as far as is known now."""
@@ -190,6 +195,19 @@ class _Search:
             self.maps[scan] = _Place(local, thin(local.points, 0.3), reference(local.points))
         return self.maps[scan]
 
+    def _distortion(self, scan: int) -> Floats:
+        """Return (3, 3) how well the map around a scan is known from that scan.
+
+        Its scans are half its reach away on average. A quarter of what drifts on the way there
+        counts: scans that were matched to one local map drift less than their sum.
+        """
+        way, half = self.travelled, self.settings.half / 2.0
+        low = np.searchsorted(way, way[scan] - half)
+        high = np.searchsorted(way, way[scan] + half)
+        drift = self.covariance[low:high].sum(axis=0) / 8.0
+        position, heading = np.trace(drift[:2, :2]) / 2.0, drift[2, 2]
+        return np.diag(np.square(self.settings.map_sigma)) + np.diag([position, position, heading])
+
     def _compare(self, a: int, b: int, half: Floats) -> None:
         """Compare two places, `half` (3,) being the window's half width [m, m, rad]."""
         settings, first, second = self.settings, self._place(a), self._place(b)
@@ -197,16 +215,29 @@ class _Search:
             first.likelihood = likelihood(first.map.points)
         guess = self._guess(a, b)
         self.tried[a, b] = guess
-        sigma = half / 2.0
-        least = settings.least_score
-        pose, score = search(first.likelihood, second.coarse, guess, half, sigma=sigma, least=least)
-        if score < 0.0:
-            self.rejected["weak"] += 1
-            return
-        off = np.abs(pose - guess)
-        if half[0] > 1.0 and bool(np.any(off > half - (0.2, 0.2, 0.03))):
-            self.rejected["edge"] += 1
-            return
+        self.compared += 1
+        half, sigma = half.copy(), half / 2.0
+        widest = np.array([settings.widest[0], settings.widest[0], settings.widest[1]])
+        while True:
+            pose, score = search(
+                first.likelihood,
+                second.coarse,
+                guess,
+                half,
+                sigma=sigma,
+                least=settings.least_score,
+            )
+            if score < 0.0:
+                self.rejected["weak"] += 1
+                return
+            # The best pose of a window that is at its edge is not the best of all.
+            edge = np.abs(pose - guess) > half - (0.2, 0.2, 0.03)
+            if half[0] <= 1.0 or not edge.any():
+                break
+            if bool(np.all(half >= widest)):
+                self.rejected["edge"] += 1
+                return
+            half = np.minimum(2.0 * half, widest)
         apart = np.array([*pose, 1.0, 0.15])
         limit = settings.ambiguity * score
         _, other = search(
@@ -226,7 +257,7 @@ class _Search:
         if seen_through(first.map, second.map, found.relative) > settings.most_through:
             self.rejected["through"] += 1
             return
-        covariance = found.covariance + np.diag(np.square(settings.map_sigma))
+        covariance = found.covariance + self._distortion(a) + self._distortion(b)
         self.found.append((a, b, found.relative, covariance, overlap, float(half[0])))
 
     def _believe(self) -> Closures:
@@ -281,6 +312,6 @@ class _Search:
             np.array([c[3] for c in chosen]).reshape(-1, 3, 3),
             np.array([c[4] for c in chosen]),
             self.poses,
-            len(self.tried),
+            self.compared,
             dict(self.rejected),
         )

@@ -23,29 +23,65 @@ NEIGHBOURS = 150
 
 
 @compiled
-def _add(pose: Floats, inverse: bool, covariance: Floats, total: Floats, spread: Floats) -> None:
+def _adjoint(x: float, y: float, t: float, out: Floats) -> None:
+    """Write the matrix that takes small motions of a frame at (x, y, t) to those of its map."""
+    c, s = np.cos(t), np.sin(t)
+    out[0, 0], out[0, 1], out[0, 2] = c, -s, y
+    out[1, 0], out[1, 1], out[1, 2] = s, c, -x
+    out[2, 0], out[2, 1], out[2, 2] = 0.0, 0.0, 1.0
+
+
+@compiled
+def _carry(j: Floats, covariance: Floats, spread: Floats) -> None:
+    """Add j·covariance·jᵀ to `spread`; by loops, which compile in a tenth of the time."""
+    for a in range(3):
+        for b in range(3):
+            total = 0.0
+            for c in range(3):
+                for d in range(3):
+                    total += j[a, c] * covariance[c, d] * j[b, d]
+            spread[a, b] += total
+
+
+@compiled
+def _squared(spread: Floats, e: Floats) -> float:
+    """Return eᵀ·spread⁻¹·e for a positive definite 3×3, by its Cholesky factor."""
+    a = np.sqrt(spread[0, 0])
+    b, d = spread[1, 0] / a, spread[2, 0] / a
+    c = np.sqrt(spread[1, 1] - b * b)
+    f = (spread[2, 1] - d * b) / c
+    g = np.sqrt(spread[2, 2] - d * d - f * f)
+    u = e[0] / a
+    v = (e[1] - b * u) / c
+    w = (e[2] - d * u - f * v) / g
+    return float(u * u + v * v + w * w)
+
+
+@compiled
+def _add(
+    pose: Floats, inverse: bool, covariance: Floats, total: Floats, spread: Floats, work: Floats
+) -> None:
     """Append a relative pose to `total`, or its inverse, and its covariance to `spread`.
 
     The covariance is that of (x, y, heading) in the first frame's axes; `spread` is of the loop's
-    small motion in the frame in which the loop begins.
+    small motion in the frame in which the loop begins. `work` (3, 3) is scratch.
     """
-    # A relative pose of x, y, heading as a small motion of its first frame.
-    a = np.eye(3)
-    a[0, 2], a[1, 2] = pose[1], -pose[0]
     x, y, t = pose[0], pose[1], pose[2]
-    if inverse:
-        c, s = np.cos(-t), np.sin(-t)
-        x, y, t = -(c * pose[0] - s * pose[1]), -(s * pose[0] + c * pose[1]), -t
-        # Small motions of the last frame, which is where the inverse begins.
-        ad = np.array([[c, -s, y], [s, c, -x], [0.0, 0.0, 1.0]])
-        a = ad @ a
     c, s = np.cos(total[2]), np.sin(total[2])
-    ad = np.array([[c, -s, total[1]], [s, c, -total[0]], [0.0, 0.0, 1.0]])
-    j = ad @ a
-    spread += j @ covariance @ j.T
-    total[0] += c * x - s * y
-    total[1] += s * x + c * y
-    total[2] += t
+    if inverse:
+        ci, si = np.cos(t), np.sin(t)
+        x, y, t = -(ci * x + si * y), si * pose[0] - ci * y, -t
+    mx, my = total[0] + c * x - s * y, total[1] + s * x + c * y
+    # The covariance stands at the end of the relative pose, turned as its beginning: where the
+    # small motions are those of x, y and of the heading about that end.
+    if inverse:
+        _adjoint(mx, my, total[2] + t, work)
+        # The reference is at (mx, my) now, the end at `total`.
+        work[0, 2], work[1, 2] = total[1], -total[0]
+    else:
+        _adjoint(mx, my, total[2], work)
+    _carry(work, covariance, spread)
+    total[0], total[1], total[2] = mx, my, total[2] + t
 
 
 @compiled
@@ -56,28 +92,32 @@ def accumulate(steps: Floats, covariance: Floats, poses: Floats) -> Floats:
     stretch is the difference of two entries. O(N).
     """
     out = np.zeros((poses.shape[0], 3, 3))
-    total, spread = np.empty(3), np.empty((3, 3))
+    total, spread, work = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     for k in range(steps.shape[0]):
-        total[:] = poses[k]
-        spread[:] = 0.0
-        _add(steps[k], False, covariance[k], total, spread)
-        out[k + 1] = out[k] + spread
+        for a in range(3):
+            total[a] = poses[k, a]
+            for b in range(3):
+                spread[a, b] = 0.0
+        _add(steps[k], False, covariance[k], total, spread, work)
+        for a in range(3):
+            for b in range(3):
+                out[k + 1, a, b] = out[k, a, b] + spread[a, b]
     return out
 
 
 @compiled
-def _stretch(poses: Floats, path: Floats, i: int, j: int, total: Floats, spread: Floats) -> None:
+def _stretch(
+    poses: Floats, path: Floats, i: int, j: int, total: Floats, spread: Floats, work: Floats
+) -> None:
     """Append the path from scan i to scan j, either way in time, to a loop."""
     c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
-    dx, dy = poses[j, 0] - poses[i, 0], poses[j, 1] - poses[i, 1]
     # From map axes to the loop's: the map's origin seen from scan i, appended to the loop.
     x, y, t = -(c * poses[i, 0] + s * poses[i, 1]), s * poses[i, 0] - c * poses[i, 1], -poses[i, 2]
     ct, st = np.cos(total[2]), np.sin(total[2])
-    mx, my, mt = total[0] + ct * x - st * y, total[1] + st * x + ct * y, total[2] + t
-    cm, sm = np.cos(mt), np.sin(mt)
-    ad = np.array([[cm, -sm, my], [sm, cm, -mx], [0.0, 0.0, 1.0]])
-    between = path[j] - path[i] if j > i else path[i] - path[j]
-    spread += ad @ between @ ad.T
+    _adjoint(total[0] + ct * x - st * y, total[1] + st * x + ct * y, total[2] + t, work)
+    low, high = min(i, j), max(i, j)
+    _carry(work, path[high] - path[low], spread)
+    dx, dy = poses[j, 0] - poses[i, 0], poses[j, 1] - poses[i, 1]
     x, y, t = c * dx + s * dy, -s * dx + c * dy, poses[j, 2] - poses[i, 2]
     total[0] += ct * x - st * y
     total[1] += st * x + ct * y
@@ -101,18 +141,20 @@ def agreement(
     """
     count = first.size
     out = np.full((count, neighbours), np.nan)
-    total, spread = np.empty(3), np.empty((3, 3))
+    total, spread, work = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     for k in range(count):
         for d in range(min(neighbours, k)):
             m = k - 1 - d
-            total[:] = 0.0
-            spread[:] = 0.0
-            _add(relative[k], True, covariance[k], total, spread)
-            _stretch(poses, path, first[k], first[m], total, spread)
-            _add(relative[m], False, covariance[m], total, spread)
-            _stretch(poses, path, second[m], second[k], total, spread)
+            for a in range(3):
+                total[a] = 0.0
+                for b in range(3):
+                    spread[a, b] = 0.0
+            _add(relative[k], True, covariance[k], total, spread, work)
+            _stretch(poses, path, first[k], first[m], total, spread, work)
+            _add(relative[m], False, covariance[m], total, spread, work)
+            _stretch(poses, path, second[m], second[k], total, spread, work)
             total[2] = wrap_scalar(total[2])
-            out[k, d] = total @ np.linalg.solve(spread, total)
+            out[k, d] = _squared(spread, total)
     return out
 
 

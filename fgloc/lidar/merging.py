@@ -88,7 +88,7 @@ def merge(left: int, rules: Rules, beams: Beams, pieces: Pieces) -> int:
             if not _mergeable(a, b, rules, beams, pieces):
                 q += 1
                 continue
-            end = last[b] if last[b] > last[a] else last[b] + n
+            end = last[b] if first[b] > last[a] else last[b] + n
             for i in range(first[b], last[b] + 1):
                 if label[i % n] == b:
                     label[i % n] = a
@@ -125,8 +125,11 @@ def _mergeable(a: int, b: int, rules: Rules, beams: Beams, pieces: Pieces) -> bo
         return False
     n = beams.r.size
     begin, end = pieces.first[b], pieces.last[b]
-    if begin <= pieces.last[a]:
+    while begin <= pieces.last[a]:
         begin, end = begin + n, end + n
+    # One of them stands before the other, which goes on behind it.
+    if end >= pieces.first[a] + n:
+        return False
     # No wall takes up half a turn: the way round the other side of the lidar is no gap.
     turned = (beams.beam[end % n] - beams.beam[pieces.first[a]]) % rules.beams
     if turned * rules.increment >= np.pi:

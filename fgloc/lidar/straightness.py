@@ -54,7 +54,7 @@ def neighbour(q: int, side: int, left: int, rules: Rules, beams: Beams, pieces: 
     one, other = pieces.order[q], pieces.order[(q + side) % left]
     a, b = (one, other) if side > 0 else (other, one)
     begin = pieces.first[b] if pieces.first[b] > pieces.last[a] else pieces.first[b] + n
-    if begin - pieces.last[a] > 3:
+    if not 0 < begin - pieces.last[a] <= 3:
         return -1
     i, j = pieces.last[a] % n, pieces.first[b] % n
     spacing = 0.0

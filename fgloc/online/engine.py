@@ -7,7 +7,6 @@ smoothed from the oldest of them on (usually the newest keyframe), once a second
 
 from __future__ import annotations
 
-from bisect import insort
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,38 +14,30 @@ import numpy as np
 
 from fgloc.core.drive import Reference
 from fgloc.core.geometry import compose
-from fgloc.core.measurements import (
-    CameraPoses,
-    Floats,
-    PoseFixes,
-    PositionFixes,
-    Sensor,
-    Yaw,
-    YawRate,
-)
-from fgloc.core.preintegration import Integrator
+from fgloc.core.measurements import Floats, LandmarkSightings, Scans, Sensor
 from fgloc.core.robot import Robot
 from fgloc.errors import FglocError
-from fgloc.factors.robust import PLAIN, Loss
+from fgloc.factors.robust import PLAIN
 from fgloc.factors.tables import Kind
-from fgloc.online.aligning import Aligner
 from fgloc.online.clock import Clock
 from fgloc.online.fixes import Fix, FixTable
 from fgloc.online.incremental import IncrementalSmoother
 from fgloc.online.layout import Layout, make_layout
+from fgloc.online.opening import loss_of, open_stream, open_table, open_zero
 from fgloc.online.plausible import reading_fault, sigma_fault, size_of, wheels_fault
 from fgloc.online.priors import after_move, first_prior
 from fgloc.online.propagate import Propagation
 from fgloc.online.settings import OnlineSettings
 from fgloc.online.slip import SlipWatch
 from fgloc.online.smoother import WindowSmoother
-from fgloc.online.streams import CameraStream, GyroStream, Stream, YawStream
+from fgloc.online.spots import BROKE, Spots, empty_sigma
+from fgloc.online.streams import Stream
 from fgloc.online.tally import Tally
 from fgloc.online.trust import Trust, Verdict
 from fgloc.online.window import Window
 from fgloc.smoothing.initial import ORIGIN_SIGMA
 from fgloc.smoothing.problem import HIDDEN
-from fgloc.smoothing.sensors import FREE_HEADING, bias_sigma, fix_sigma
+from fgloc.smoothing.sensors import fix_sigma
 
 
 @dataclass(frozen=True)
@@ -69,10 +60,8 @@ FUTURE_NS = 30_000_000_000
 """A stamp this far ahead of the wheels' is wrong."""
 BROKEN = (FglocError, ArithmeticError, ValueError, RuntimeError)
 """What a solver may raise over numbers it cannot digest (numpy's and GTSAM's errors are these)."""
-UNPLACED = "the start is not known"
-"""Reason of fixes that never told where the drive started."""
-BROKE = "the solver broke over it"
-"""Reason of measurements that were taken back so that the window could be solved."""
+SPARSE = 5.0
+"""With a lidar keyframes are so many times rarer: its scans make those that are needed."""
 ASIDE = 1000
 """Readings that are put aside at most while the clock is in doubt."""
 
@@ -91,34 +80,32 @@ class OnlineEngine:
         """Prepare for a robot with these sensors; of the streams only noise and mounting count."""
         self.settings = settings
         self.layout: Layout = make_layout(robot, sensors, reference)
-        self.window = Window(self.layout, self._loss(settings.wheel_loss), resolution)
+        self.window = Window(self.layout, loss_of(settings, settings.wheel_loss), resolution)
         self.propagation = Propagation(self.layout)
         chain = settings.engine == "chain"
         make = WindowSmoother if chain else IncrementalSmoother
         self.smoother: WindowSmoother | IncrementalSmoother = make(self.window, settings)
-        self.trust = Trust(self.smoother) if isinstance(self.smoother, WindowSmoother) else None
+        # Its trials are for chains: with landmarks nobody is doubted as a whole.
+        mapping = any(isinstance(s, LandmarkSightings | Scans) for s in sensors)
+        able = isinstance(self.smoother, WindowSmoother) and not mapping
+        self.trust = Trust(self.map_smoother) if able else None
         self.slip: SlipWatch | None = None
         self.clock = Clock()
-        self.aligner: Aligner | None = None
         self.rebuilds = 0
         self.updates = 0
         self._mark: dict[tuple[str, Kind], int] = {}
         self.left_out: dict[str, str] = {}
         self.sensors = tuple(sensors)
         self.streams: dict[str, Stream] = {}
-        self.fix_tables: dict[str, FixTable] = {}
+        self.spots = Spots(self)
         self.tally: dict[str, Tally] = {"wheels": Tally(), **{s.sensor: Tally() for s in sensors}}
         self.walks: dict[str, float] = {}
         self._aside: list[tuple[str, int, Floats, Floats | None]] = []
         self._sizes = {s.sensor: size_of(s) for s in sensors}
+        self._scans = tuple(s.sensor for s in sensors if isinstance(s, Scans))
         self.held = np.zeros(len(robot.base.driven))
-        self.waiting: list[Fix] = []
         self.now_ns = 0
         self.dirty: int | None = None
-
-    def _loss(self, loss: Loss) -> Loss:
-        """Return a sensor's loss, or none where nothing is to be robust."""
-        return loss if self.settings.robust else PLAIN
 
     def begin(self, stamp_ns: int, start: Start | None) -> None:
         """Make the first keyframe.
@@ -143,8 +130,7 @@ class OnlineEngine:
             known.add(0, row, np.diag(1.0 / sigma), weight=1.0)
         for sensor in self.sensors:
             self._open(sensor, stamp_ns)
-        if start is None and self.fix_tables:
-            self.aligner = Aligner({name: t.mount for name, t in self.fix_tables.items()})
+        if start is None and self.spots.align():
             self.smoother.holding = True
         self.smoother.begin()
         if isinstance(self.smoother, WindowSmoother) and self.settings.robust:
@@ -152,41 +138,45 @@ class OnlineEngine:
         self._restart()
 
     def _open(self, sensor: Sensor, stamp_ns: int) -> None:
-        """Make the stream of one sensor, and the model of its drifting zero."""
+        """Make what takes the readings of one sensor, and the model of its drifting zero."""
         place = self.layout.places.get(sensor.sensor)
         if place is None:
             return  # a kind of sensor that this engine does not use
-        settings, window = self.settings, self.window
-        if isinstance(sensor, Yaw):
-            loss = self._loss(settings.yaw_loss)
-            self.streams[sensor.sensor] = YawStream(
-                sensor, place, loss, window, self._touch, stamp_ns
-            )
-            self._open_zero(sensor.sensor, place.slot, FREE_HEADING, sensor.drift_sigma)
-        elif isinstance(sensor, YawRate):
-            loss = self._loss(settings.yaw_loss)
-            self.streams[sensor.sensor] = GyroStream(sensor, place, loss, window, self._touch)
-            self._open_zero(sensor.sensor, place.slot, bias_sigma(sensor), sensor.bias_walk)
-        elif isinstance(sensor, CameraPoses):
-            loss = self._loss(settings.camera_loss)
-            self.streams[sensor.sensor] = CameraStream(sensor, place, loss, window, self._touch)
-        elif isinstance(sensor, PositionFixes | PoseFixes):
-            loss = self._loss(settings.fix_loss)
-            self.fix_tables[sensor.sensor] = FixTable(sensor, place, loss, window)
+        stream = open_stream(sensor, place, self, self.settings, stamp_ns)
+        if stream is not None:
+            self.streams[sensor.sensor] = stream
+        walk = open_zero(sensor, place, self.window)
+        if walk is not None:
+            self.walks[sensor.sensor] = walk
+        mapping = isinstance(self.smoother, WindowSmoother)
+        table = open_table(sensor, place, self, self.settings, mapping)
+        if table is not None:
+            self.spots.tables[sensor.sensor] = table
 
-    def _open_zero(self, sensor: str, slot: int, sigma: float, walk: float) -> None:
-        """Give a drifting zero its prior and its random walk."""
-        if slot < 0:
-            return
-        empty = slice(0, 0)
-        prior = self.window.table(Kind.ZERO_PRIOR, sensor, (1, 1), empty, PLAIN, slot)
-        prior.add(0, np.zeros(1), np.array([[1.0 / sigma]]), weight=1.0)
-        self.window.table(Kind.ZERO_WALK, sensor, (1, 1), empty, PLAIN, slot)
-        self.walks[sensor] = walk
-
-    def _touch(self, number: int) -> None:
+    def touch(self, number: int) -> None:
         """Note that a keyframe has a new factor."""
         self.dirty = number if self.dirty is None else min(self.dirty, number)
+
+    def reject(self, sensor: str, reason: str, count: int = 1) -> None:
+        """Count readings that could not be used."""
+        self.tally[sensor].reject(reason, count)
+
+    @property
+    def map_smoother(self) -> WindowSmoother:
+        """Return the solver that keeps the landmarks."""
+        assert isinstance(self.smoother, WindowSmoother)
+        return self.smoother
+
+    def enter(self, guesses: Floats, root: Floats) -> list[int]:
+        """Take new landmarks into use at guesses (2 k,), of which `root` (2 k, 2 k) is known."""
+        numbers = self.map_smoother.enter(guesses, root)
+        self._restart()
+        return numbers
+
+    def recall(self, numbers: list[int]) -> None:
+        """Take landmarks that were put aside back into use; the whole window is solved for it."""
+        self.map_smoother.wanted = numbers
+        self.update()
 
     def reading(self, sensor: str, stamp_ns: int, values: Floats, sigma: Floats | None) -> None:
         """Take a measurement of any sensor but the wheels, in any order of time.
@@ -207,8 +197,8 @@ class OnlineEngine:
             return
         tally = self.tally[sensor]
         stamp_ns = self.clock.time(stamp_ns)
-        fault = reading_fault(values, self._sizes[sensor])
-        if not fault and sensor in self.fix_tables:
+        fault = reading_fault(values, self._sizes[sensor], sensor in self._scans)
+        if not fault and isinstance(self.spots.tables.get(sensor), FixTable):
             fault = sigma_fault(sigma, self._sizes[sensor])
         if sensor in self.left_out:
             tally.reject("contradicts the others")
@@ -222,52 +212,21 @@ class OnlineEngine:
             value = float(values[0]) if values.size == 1 else values
             if not self.streams[sensor].push(stamp_ns, value):
                 tally.reject("a second one with the same stamp")
-        elif sensor in self.fix_tables and sigma is not None:
-            if not self.fix_tables[sensor].first_at(stamp_ns):
+        elif sensor in self.spots.tables:
+            table = self.spots.tables[sensor]
+            stamp_ns += table.delay_ns
+            fix = Fix(stamp_ns, sensor, values, empty_sigma() if sigma is None else sigma)
+            if not table.first(fix):
                 tally.reject("a second one with the same stamp")
                 return
             try:
-                self._fix(Fix(stamp_ns, sensor, values, sigma))
+                self.spots.take(fix)
             except BROKEN:
                 self._settle(self._rebuild())
         else:
             tally.reject("not used by this engine")
 
-    def _fix(self, fix: Fix) -> None:
-        """Put a fix where it belongs, or let it wait for the wheels."""
-        window = self.window
-        if fix.stamp_ns > self.now_ns:
-            insort(self.waiting, fix, key=lambda f: f.stamp_ns)
-            return
-        number = window.number_at(fix.stamp_ns)
-        if fix.stamp_ns == self.now_ns and window.stamp(number) != self.now_ns:
-            number = self._keyframe()
-        moved = None
-        if window.stamp(number) != fix.stamp_ns:
-            moved = self._moved(number, fix.stamp_ns)
-        self._add_fix(number, fix, moved)
-
-    def _add_fix(self, number: int, fix: Fix, moved: Floats | None) -> None:
-        """Make a fix a factor, or use it to find out where the drive started."""
-        if self.aligner is None:
-            self.fix_tables[fix.sensor].add(number, fix, moved)
-            self._touch(number)
-            return
-        self.aligner.add(number, fix, moved, self.window.state(number)[:3])
-        found = self.aligner.start()
-        if found is not None:
-            fixes, self.aligner = self.aligner.fixes, None
-            try:
-                self._place(*found)
-            except BROKEN:
-                for _, one, _ in fixes:
-                    self.tally[one.sensor].reject(BROKE)
-                raise
-            for collected in fixes:
-                self._add_fix(*collected)
-            self.update()
-
-    def _place(self, start: Floats, sigma: Floats) -> None:
+    def place(self, start: Floats, sigma: Floats) -> None:
         """Move the path so far to where it lies in the map, give or take sigma (3,)."""
         window = self.window
         known = window.tables[START, Kind.POSE_FIX]
@@ -285,22 +244,6 @@ class OnlineEngine:
             # The start is summed up in the prior by now, with the rest of the path's beginning.
             prior.sqrt_information[0] = after_move(prior.sqrt_information[0], sigma)
         self.smoother.start_again()
-
-    def _moved(self, number: int, stamp_ns: int) -> Floats:
-        """Return where the wheels had brought the robot at a stamp, seen from a keyframe before."""
-        integrator = Integrator(self.layout.robot)
-        integrator.restart(self.layout.values(self.smoother.calibration))
-        left = (stamp_ns - self.window.stamp(number)) * 1e-9
-        pieces = self.window.split(number, number + 2)
-        for angles, steering, seconds in zip(
-            pieces.angles, pieces.steering, pieces.seconds, strict=True
-        ):
-            part = min(1.0, left / seconds)
-            integrator.add(angles * part, steering, seconds * part)
-            left -= seconds
-            if left <= 0.0:
-                break
-        return integrator.displacement
 
     def wheels(self, stamp_ns: int, angles: Floats, steering: Floats | None = None) -> bool:
         """Take the wheels' rotation (D,) [rad] since the last packet, and its end.
@@ -336,17 +279,12 @@ class OnlineEngine:
     def _drive(self, stamp_ns: int, angles: Floats, steer: Floats) -> None:
         """Move on to the end of a packet, by way of the fixes that wait for it."""
         whole = stamp_ns - self.now_ns
-        while self.waiting and self.waiting[0].stamp_ns <= stamp_ns:
-            fix = self.waiting[0]
-            self._advance(angles, steer, fix.stamp_ns, whole)
-            number = self.window.newest
-            if self.window.stamp(number) != self.now_ns:
-                number = self._keyframe()
-            self.waiting.pop(0)
-            self._add_fix(number, fix, None)
+        while (reached := self.spots.reached(stamp_ns)) is not None:
+            self._advance(angles, steer, reached, whole)
+            self.spots.release()
         self._advance(angles, steer, stamp_ns, whole)
         if self._due():
-            self._keyframe()
+            self.keyframe()
         if self.dirty is not None or self.smoother.unsolved >= self.settings.relinearise_every:
             self.update()
 
@@ -366,13 +304,14 @@ class OnlineEngine:
         s, window = self.settings, self.window
         last = window.newest
         # 5 % slack keeps a jittering sensor of the same rate from alternating between one and two.
-        if self.now_ns - window.stamp(last) >= 0.95e9 * s.keyframe_period_s:
+        period_s = s.keyframe_period_s * (SPARSE if self._scans else 1.0)
+        if self.now_ns - window.stamp(last) >= 0.95e9 * period_s:
             return True
         before, now = window.state(last), self.propagation.state
         way = float(np.hypot(now[0] - before[0], now[1] - before[1]))
         return way >= s.keyframe_distance_m or abs(now[2] - before[2]) >= s.keyframe_turn
 
-    def _keyframe(self) -> int:
+    def keyframe(self) -> int:
         """Make a keyframe of now, and the factors that end there."""
         window = self.window
         number = window.add_keyframe(self.now_ns, self.propagation.state)
@@ -416,10 +355,7 @@ class OnlineEngine:
             oldest = self.window.stamp(self.window.base)
             for stream in self.streams.values():
                 stream.prune(oldest)
-            for table in self.fix_tables.values():
-                table.prune(oldest)
-            for fix in [] if self.aligner is None else self.aligner.prune(self.window.base):
-                self.tally[fix.sensor].reject(UNPLACED)
+            self.spots.prune()
 
     def _smooth(self) -> dict[str, Floats]:
         """Update the window; return the last weights of the factors that left it."""
@@ -469,10 +405,8 @@ class OnlineEngine:
         for table in self.window.tables.values():
             if table.kind not in HIDDEN and table.sensor in self.tally:
                 self.tally[table.sensor].gone(table.weight.view)
-        for fix in self.waiting:
-            self.tally[fix.sensor].reject("after the last wheel packet")
-        for _, fix, _ in [] if self.aligner is None else self.aligner.fixes:
-            self.tally[fix.sensor].reject(UNPLACED)
+        for sensor, reason in self.spots.left():
+            self.tally[sensor].reject(reason)
 
     def _restart(self) -> None:
         """Let dead reckoning go on from the keyframe solved last."""

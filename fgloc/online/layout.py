@@ -10,8 +10,10 @@ from fgloc.core.kinematics import Parameter
 from fgloc.core.measurements import (
     CameraPoses,
     Floats,
+    LandmarkSightings,
     PoseFixes,
     PositionFixes,
+    Scans,
     Sensor,
     Yaw,
     YawRate,
@@ -79,4 +81,6 @@ def make_layout(robot: Robot, sensors: Sequence[Sensor], reference: Reference | 
         elif isinstance(sensor, PositionFixes | PoseFixes):
             mount = sensor.mount_name or name
             places[name] = Place(c.mount(mount, sensor.mount, sensor.mount_sigma))
+        elif isinstance(sensor, LandmarkSightings | Scans):
+            places[name] = Place(c.mount(name, sensor.mount, sensor.mount_sigma))
     return Layout(robot, c.free, tuple(c.parameters), places, c.width)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from fgloc.core.measurements import Floats
+from fgloc.core.measurements import Floats, Stamps
 from fgloc.factors.robust import PLAIN, Loss
-from fgloc.factors.tables import PAIRWISE, FactorTable, Kind
+from fgloc.factors.tables import LANDMARK, PAIRWISE, FactorTable, Kind
 from fgloc.online.growing import GrowingArray
 
 
@@ -21,7 +21,14 @@ class LiveTable:
         calibration: slice,
         loss: Loss = PLAIN,
         slot: int = -1,
+        places: GrowingArray | None = None,
+        parameters: int = 0,
     ) -> None:
+        """`sizes` are those of a measurement row and of the residual.
+
+        For kinds that see landmarks: `places` of all landmarks in the border, by number, and the
+        `parameters` of the calibration before them.
+        """
         measurement, dimension = sizes
         self.dimension = dimension
         self.kind = kind
@@ -30,7 +37,12 @@ class LiveTable:
         self.loss = loss
         self.slot = slot
         self.pairwise = kind in PAIRWISE
+        self.sees_landmarks = kind in LANDMARK
+        self._places = places
+        self._parameters = parameters
         self.first = GrowingArray((), np.int64)
+        # Number of the landmark that each row sees, -1 where the kind sees none.
+        self.second = GrowingArray((), np.int64)
         self.measurements = GrowingArray((measurement,))
         self.sqrt_information = GrowingArray((dimension, dimension))
         self.added = 0
@@ -45,6 +57,7 @@ class LiveTable:
         measurement: Floats,
         sqrt_information: Floats,
         weight: float = np.inf,
+        second: int = -1,
     ) -> None:
         """Add a factor; usually the newest, but any place will do. Not judged yet by default."""
         self.added += 1
@@ -54,6 +67,7 @@ class LiveTable:
         if n and first < first_rows[-1]:
             at = int(np.searchsorted(first_rows, first, side="right"))
         self.first.insert(at, first)
+        self.second.insert(at, second)
         self.serial.insert(at, self.added)
         self.measurements.insert(at, measurement)
         self.sqrt_information.insert(at, sqrt_information)
@@ -86,7 +100,14 @@ class LiveTable:
             self.calibration,
             self.loss,
             self.slot,
+            None if self._places is None else self._places.view[self.second.view[rows]],
         )
+
+    def border_columns(self, rows: slice) -> Stamps:
+        """Return the columns (M, 2) of the border that live rows' landmarks have."""
+        assert self._places is not None
+        place = self._places.view[self.second.view[rows]]
+        return np.asarray(self._parameters + 2 * place[:, None] + np.arange(2))
 
     def drop(self, before: int) -> Floats:
         """Forget the factors whose first keyframe is older than `before`; return their weights."""
@@ -106,4 +127,11 @@ class LiveTable:
     @property
     def _columns(self) -> tuple[GrowingArray, ...]:
         """Return all columns."""
-        return (self.first, self.serial, self.measurements, self.sqrt_information, self.weight)
+        return (
+            self.first,
+            self.second,
+            self.serial,
+            self.measurements,
+            self.sqrt_information,
+            self.weight,
+        )

@@ -14,6 +14,7 @@ from fgloc.estimator import Result, WheelSlip, calibration_of
 from fgloc.online.engine import OnlineEngine, Start
 from fgloc.online.session import ReplayOptions, Session
 from fgloc.online.settings import OnlineSettings
+from fgloc.online.surroundings import map_notes, map_of
 from fgloc.smoothing.slip_report import slip_notes, wheel_slips
 
 SURPRISING = 4.0
@@ -41,9 +42,9 @@ class OnlineSmoother:
         session.run()
         engine = session.engine
         engine.finish()
-        known, b = engine.smoother.posterior, engine.layout.width
+        known, b, g = engine.smoother.posterior, engine.layout.width, len(engine.layout.parameters)
         calibration, covariance = calibration_of(
-            engine.layout.parameters, known.calibration, known.covariance[b:, b:]
+            engine.layout.parameters, known.border[:g], known.covariance[b : b + g, b : b + g]
         )
         slips = slips_of(engine)
         start_ns = int(drive.wheels.stamps_ns[0])
@@ -57,11 +58,13 @@ class OnlineSmoother:
             notes=(
                 *notes(engine),
                 *slip_notes(slips, start_ns, seen_by_others(engine)),
+                *map_notes(engine),
                 *session.notes,
             ),
             live=session.live,
             slips=slips,
             calibration_covariance=covariance,
+            map=map_of(engine),
         )
 
 
@@ -111,7 +114,7 @@ def notes(engine: OnlineEngine) -> Iterator[str]:
     if engine.rebuilds:
         times = "once" if engine.rebuilds == 1 else f"{engine.rebuilds} times"
         yield f"the window was rebuilt {times} because its solution failed"
-    if engine.aligner is not None and engine.aligner.fixes:
+    if engine.spots.aligner is not None and engine.spots.aligner.fixes:
         yield "the fixes do not tell where the drive started; poses are relative to its start"
 
 

@@ -20,7 +20,7 @@ BENT = 0.3
 FAR = 0.5
 """So is one that changes a calibration variable (log-ratio or half tracks) by more."""
 Judging = tuple[Floats, Floats, dict[int, float]]
-"""Joint covariance of state and calibration, that of the last displacement, gates by dimension."""
+"""Joint covariance of state and border, that of the last displacement, gates by dimension."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,10 @@ class Pass:
     """First keyframe."""
     states: Floats
     """(K, B) states after the step."""
-    calibration: Floats
-    """(G,) calibration after the step."""
+    border: Floats
+    """(n,) calibration and landmarks after the step."""
+    before: Floats
+    """(K, B) states before the step."""
     elimination: Elimination
     """Carries and triangular rows, linearised at the states before the step."""
     tables: tuple[FactorTable, ...]
@@ -68,7 +70,7 @@ def judge(
     """Give the new rows of a table their first weights, by what was expected of them.
 
     The innovation's covariance is that of the measurement plus that of the prediction: `joint`
-    (B+G, B+G) of the newest state and the calibration for factors of one keyframe, `moved` (3, 3)
+    (B+n, B+n) of the newest state and the border for factors of one keyframe, `moved` (3, 3)
     of the wheels' last displacement for factors between two. A normalised innovation squared
     beyond `gate` is weighted as the loss would weight a residual of that size; a large residual
     that the prediction's own uncertainty explains is not.
@@ -84,9 +86,15 @@ def judge(
         sides[:, :b] = 0.0
         sides[:3, :3] = moved
     by_state = linear.by_second if live.pairwise else linear.by_first
-    own = np.array([*range(b), *range(b + live.calibration.start, b + live.calibration.stop)])
     jacobian = np.concatenate([by_state[new], linear.by_calibration[new]], axis=2)
-    innovation = jacobian @ sides[np.ix_(own, own)] @ jacobian.swapaxes(1, 2)
+    block = live.calibration
+    if live.sees_landmarks:
+        jacobian = np.concatenate([jacobian, linear.by_second[new]], axis=2)
+    own = np.tile([*range(b), *range(b + block.start, b + block.stop)], (new.size, 1))
+    if live.sees_landmarks:
+        own = np.append(own, b + live.border_columns(rows)[new], axis=1)
+    known = sides[own[:, :, None], own[:, None, :]]
+    innovation = jacobian @ known @ jacobian.swapaxes(1, 2)
     innovation += np.eye(jacobian.shape[1])
     r = linear.residual[new]
     nis = np.einsum("ka,ka->k", r, np.linalg.solve(innovation, r[:, :, None])[:, :, 0])
@@ -98,12 +106,13 @@ def run_pass(
     window: Window,
     begin: int,
     prior: FactorTable,
-    calibration: Floats,
+    border: Floats,
     after_begin: bool,
     judging: Judging | None,
 ) -> tuple[Pass | None, list[Judged]]:
     """Linearise the keyframes from `begin` on at their states and take one step.
 
+    `border` (n,) are calibration and landmarks in use, which keyframes see in any order.
     `after_begin`: factors of keyframe `begin` alone are in the prior already. `judging` holds the
     joint covariance, that of the last displacement, and the gates by residual dimension.
     None if the system is indeterminate or its solution not finite. O(K) with a compiled core.
@@ -121,7 +130,8 @@ def run_pass(
             live.append(table)
             slices.append(rows)
     everything = (prior, *tables)
-    linear = [linearise(t, states, calibration) for t in everything]
+    landmarks = window.landmarks.positions(border)
+    linear = [linearise(t, states, border, landmarks) for t in everything]
     judged: list[Judged] = []
     weights = [np.ones(1)]
     for table, rows, lin in zip(live, slices, linear[1:], strict=True):
@@ -133,9 +143,12 @@ def run_pass(
         weight = table.weight.view[rows]
         weights.append(np.where(np.isinf(weight), 1.0, weight))
     width = window.layout.width
-    no_rows = np.zeros((0, calibration.size + 1))
     system = stack(
-        list(zip(everything, linear, weights, strict=True)), states.shape[0], width, no_rows
+        list(zip(everything, linear, weights, strict=True)),
+        states.shape[0],
+        width,
+        np.zeros((0, border.size + 1)),
+        window.landmarks.parameters,
     )
     elimination = eliminate(system)
     if elimination is None:
@@ -143,12 +156,16 @@ def run_pass(
     step, u = elimination.step, elimination.calibration_step
     moved_states = states + step
     moved_states[:, :3] = compose(states[:, :3], step[:, :3])
-    squared = tuple(_predicted(t, lin, step, u) for t, lin in zip(everything, linear, strict=True))
+    by_landmark = window.landmarks.positions(u)
+    squared = tuple(
+        _predicted(t, lin, step, u, by_landmark) for t, lin in zip(everything, linear, strict=True)
+    )
     return (
         Pass(
             begin,
             moved_states,
-            calibration + u,
+            border + u,
+            states.copy(),
             elimination,
             everything,
             tuple(live),
@@ -159,17 +176,26 @@ def run_pass(
     )
 
 
-def _predicted(table: FactorTable, linear: Linearised, step: Floats, u: Floats) -> Floats:
-    """Return the (M,) squared whitened residuals after a step, to first order."""
+def _predicted(
+    table: FactorTable, linear: Linearised, step: Floats, u: Floats, landmarks: Floats
+) -> Floats:
+    """Return the (M,) squared whitened residuals after a step, to first order.
+
+    The step is `step` (K, B) of the states, `u` (n,) of the border, of which `landmarks` (A, 2) are
+    the last columns.
+    """
     squared = np.empty(table.first.size)
+    seen = table.second is not None
     _add_up(
         table.first,
-        table.pairwise,
+        table.first + 1 if table.second is None else table.second,
+        table.pairwise or seen,
         linear.residual,
         linear.by_first,
         linear.by_second,
         linear.by_calibration,
         step,
+        landmarks if seen else step,
         u[table.calibration],
         squared,
     )
@@ -179,17 +205,20 @@ def _predicted(table: FactorTable, linear: Linearised, step: Floats, u: Floats) 
 @compiled
 def _add_up(
     first: Stamps,
-    pairwise: bool,
+    second: Stamps,
+    joins: bool,
     residual: Floats,
     by_first: Floats,
     by_second: Floats,
     by_calibration: Floats,
     step: Floats,
+    others: Floats,
     u: Floats,
     squared: Floats,
 ) -> None:
     """Write the squared norms of residual + Jacobian · step into `squared` (M,)."""
     d, b = by_first.shape[1], by_first.shape[2]
+    joined = by_second.shape[2] if joins else 0
     for k in range(first.size):
         i = first[k]
         total = 0.0
@@ -197,8 +226,8 @@ def _add_up(
             r = residual[k, a]
             for c in range(b):
                 r += by_first[k, a, c] * step[i, c]
-                if pairwise:
-                    r += by_second[k, a, c] * step[i + 1, c]
+            for c in range(joined):
+                r += by_second[k, a, c] * others[second[k], c]
             for c in range(u.size):
                 r += by_calibration[k, a, c] * u[c]
             total += r * r
@@ -214,15 +243,14 @@ def trusted(step: Pass) -> bool:
 def accept(window: Window, step: Pass) -> Posterior:
     """Write a step's states and carries into the window; return what is known at the newest."""
     row = step.begin - window.base
-    before = window.states.view[row:].copy()
     window.states.view[row:] = step.states
     e = step.elimination
     window.carry.view[row + 1 :] = e.carries[1:]
-    window.linear_states.view[row + 1 :] = before[1:]
-    window.linear_calibration.view[row + 1 :] = step.calibration - e.calibration_step
+    window.linear_states.view[row + 1 :] = step.before[1:]
+    window.linear_border.view[row + 1 :] = step.border - e.calibration_step
     root = e.newest_root()
     inverse = np.linalg.inv(root)
-    return Posterior(window.newest, step.calibration, root, inverse @ inverse.T)
+    return Posterior(window.newest, step.border, root, inverse @ inverse.T)
 
 
 def reweight(window: Window, step: Pass) -> float:

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from fgloc.core.measurements import CameraPoses, Floats, PoseFixes, PositionFixes, Sensor
+from fgloc.core.measurements import (
+    CameraPoses,
+    Floats,
+    LandmarkSightings,
+    PoseFixes,
+    PositionFixes,
+    Scans,
+    Sensor,
+)
 
 LARGEST = 1e9
 """No position [m], angle [rad] or rate [rad/s] is larger: digits are lost beyond."""
@@ -20,15 +28,23 @@ SHORTEST_S = 1.0
 
 def size_of(sensor: Sensor) -> int:
     """Return how many numbers a reading of a sensor has."""
-    if isinstance(sensor, CameraPoses | PoseFixes):
+    if isinstance(sensor, CameraPoses | PoseFixes | LandmarkSightings):
         return 3
+    if isinstance(sensor, Scans):
+        return int(sensor.ranges.shape[1])
     return 2 if isinstance(sensor, PositionFixes) else 1
 
 
-def reading_fault(values: Floats, size: int) -> str:
-    """Return what is wrong with a reading of `size` numbers, "" if nothing."""
+def reading_fault(values: Floats, size: int, scan: bool = False) -> str:
+    """Return what is wrong with a reading of `size` numbers, "" if nothing.
+
+    In a scan single beams may be missing, whatever stands there for them; but not all.
+    """
     if values.shape != (size,):
         return "it has another number of values"
+    if scan:
+        with np.errstate(invalid="ignore"):
+            return "" if bool((np.isfinite(values) & (values > 0.0)).any()) else "no beam returned"
     if not np.isfinite(values).all():
         return "not finite"
     return "larger than possible" if np.abs(values).max() > LARGEST else ""

@@ -22,30 +22,30 @@ class Posterior:
 
     number: int
     """Keyframe."""
-    calibration: Floats
-    """(G,) calibration in solver variables."""
+    border: Floats
+    """(n,) calibration in solver variables, then the landmarks in use."""
     root: Floats
-    """(B+G, B+G) square-root information of state (body axes) and calibration; (0, 0) where the
+    """(B+n, B+n) square-root information of state (body axes) and border; (0, 0) where the
     solver has covariances only."""
     covariance: Floats
-    """(B+G, B+G) their joint covariance."""
+    """(B+n, B+n) their joint covariance."""
 
 
 def prior_table(
-    state: Floats, calibration: Floats, root: Floats, offset: Floats | None = None
+    state: Floats, border: Floats, root: Floats, offset: Floats | None = None
 ) -> FactorTable:
-    """Return the joint prior of a window's first keyframe and the calibration.
+    """Return the joint prior of a window's first keyframe and the border (n,).
 
-    Its mean is `offset` (B+G) away from the state and calibration given.
+    Its mean is `offset` (B+n) away from the state and border given.
     """
     offset = np.zeros(root.shape[0]) if offset is None else offset
     return FactorTable(
         Kind.STATE_PRIOR,
         "prior",
         np.zeros(1, np.int64),
-        np.concatenate([state, calibration, offset])[None],
+        np.concatenate([state, border, offset])[None],
         np.ascontiguousarray(root)[None],
-        slice(0, calibration.size),
+        slice(0, border.size),
     )
 
 
@@ -62,7 +62,7 @@ def first_prior(window: Window, state: Floats, root: Floats) -> FactorTable:
 def posterior_prior(window: Window, posterior: Posterior) -> FactorTable:
     """Return everything known at the posterior's keyframe as a prior on it."""
     state = window.states.view[posterior.number - window.base]
-    return prior_table(state, posterior.calibration, posterior.root)
+    return prior_table(state, posterior.border, posterior.root)
 
 
 def carried_prior(window: Window, number: int) -> FactorTable | None:
@@ -83,17 +83,30 @@ def carried_prior(window: Window, number: int) -> FactorTable | None:
         return None
     return prior_table(
         window.linear_states.view[row],
-        window.linear_calibration.view[row],
+        window.linear_border.view[row],
         carry[:, :n].copy(),
         step,
     )
 
 
-def after_walk(prior: FactorTable, width: int, walk: Floats) -> FactorTable:
+def without_landmarks(prior: FactorTable, width: int, parameters: int) -> FactorTable:
+    """Return what a prior says of state (B,) and calibration (G,) alone; `width` is B."""
+    n = width + parameters
+    root, row = prior.sqrt_information[0], prior.measurements[0]
+    if root.shape[0] == n:
+        return prior
+    offset = row[root.shape[0] :]
+    order = np.append(np.arange(n, root.shape[0]), np.arange(n))
+    left = triangle(root[:, order])[root.shape[0] - n :, root.shape[0] - n :]
+    return prior_table(row[:width], row[width:n], left, offset[:n])
+
+
+def after_walk(prior: FactorTable, width: int, walk: Floats) -> tuple[FactorTable, Floats]:
     """Return a prior after the first F calibration variables were free to walk by `walk` (F,).
 
     With u' = u + walk, u is eliminated from the rows of the prior and of the walk; on rows, not on
-    covariances, which would lose digits. `width` is that of the state, B.
+    covariances, which would lose digits. `width` is that of the state, B. The second result are
+    the rows (F, F+N) that tell u by state, u' and the rest of the border, about the prior's mean.
     """
     root = prior.sqrt_information[0]
     free, n, b = walk.size, root.shape[0], width
@@ -104,8 +117,9 @@ def after_walk(prior: FactorTable, width: int, walk: Floats) -> FactorTable:
     rows[free:, :free] = root[:, own]
     rows[free:, free:] = root
     rows[free:, free + b : free + b + free] = 0.0
-    left = np.ascontiguousarray(triangle(rows)[free:, free:])
-    return replace(prior, sqrt_information=left[None])
+    whole = triangle(rows)
+    left = np.ascontiguousarray(whole[free:, free:])
+    return replace(prior, sqrt_information=left[None]), whole[:free]
 
 
 def definite(covariance: Floats) -> tuple[Floats, Floats]:

@@ -9,6 +9,7 @@ from fgloc.core.measurements import Floats
 from fgloc.core.preintegration import Integrator
 from fgloc.online.layout import Layout
 from fgloc.online.priors import Posterior
+from fgloc.online.window import Window
 
 
 class Propagation:
@@ -25,8 +26,8 @@ class Propagation:
         """Begin again at a keyframe whose state and joint covariance are known."""
         layout = self._layout
         for k in range(len(layout.free)):
-            self._scale[k] = layout.parameters[k].derivative(float(posterior.calibration[k]))
-        self._integrator.restart(layout.values(posterior.calibration))
+            self._scale[k] = layout.parameters[k].derivative(float(posterior.border[k]))
+        self._integrator.restart(layout.values(posterior.border))
         self._state = state.copy()
         self._joint = posterior.covariance
 
@@ -55,9 +56,13 @@ class Propagation:
         return self._turned(self._integrator.covariance)
 
     def joint(self) -> Floats:
-        """Return the (B+G, B+G) joint covariance of the state now (body axes) and calibration."""
+        """Return the (B+n, B+n) joint covariance of the state now (body axes) and the border."""
+        return self._moved(self._joint.shape[0])
+
+    def _moved(self, n: int) -> Floats:
+        """Return the first n rows and columns of the joint covariance now; no fewer than B+F."""
         d = self._integrator.displacement
-        n, b = self._joint.shape[0], self._state.size
+        b = self._state.size
         c, s = np.cos(d[2]), np.sin(d[2])
         move = np.eye(n)
         # A turn of the anchor swings the displacement; then everything in the axes of now.
@@ -65,17 +70,38 @@ class Propagation:
         j = self._integrator.jacobian[:, list(self._layout.free)] * self._scale
         move[:2, b : b + j.shape[1]] = np.array([[c, s], [-s, c]]) @ j[:2]
         move[2, b : b + j.shape[1]] = j[2]
-        joint = move @ self._joint @ move.T
+        joint = move @ self._joint[:n, :n] @ move.T
         joint[:3, :3] += self._turned(self._integrator.covariance)
         return joint
 
     def covariance(self) -> Floats:
         """Return the (3, 3) covariance of the pose now, in map axes."""
         heading = self._state[2] + self._integrator.displacement[2]
-        turned = rotate_covariance(self.joint()[:3, :3], heading)
+        joint = self._moved(self._layout.size)
+        turned = rotate_covariance(joint[:3, :3], heading)
         return 0.5 * (turned + turned.T)
 
     def _turned(self, covariance: Floats) -> Floats:
         """Return a covariance in the anchor's axes turned to the axes of now."""
         turned: Floats = rotate_covariance(covariance, -self._integrator.displacement[2])
         return turned
+
+
+def moved_from(window: Window, number: int, stamp_ns: int) -> Floats:
+    """Return where (3,) the wheels had brought the robot at a stamp, seen from a keyframe before.
+
+    At the newest calibration that the window knows. O(packets after the keyframe).
+    """
+    integrator = Integrator(window.layout.robot)
+    integrator.restart(window.layout.values(window.latest))
+    left = (stamp_ns - window.stamp(number)) * 1e-9
+    pieces = window.split(number, number + 2)
+    for angles, steering, seconds in zip(
+        pieces.angles, pieces.steering, pieces.seconds, strict=True
+    ):
+        part = min(1.0, left / seconds)
+        integrator.add(angles * part, steering, seconds * part)
+        left -= seconds
+        if left <= 0.0:
+            break
+    return integrator.displacement

@@ -15,7 +15,7 @@ import numpy as np
 from fgloc.core.measurements import Floats
 from fgloc.factors.slip import redundancy_table, redundant
 from fgloc.factors.tables import Kind, linearise
-from fgloc.online.priors import carried_prior
+from fgloc.online.priors import carried_prior, without_landmarks
 from fgloc.online.settings import OnlineSettings
 from fgloc.online.smoother import WindowSmoother
 from fgloc.online.window import GUESSED
@@ -159,6 +159,9 @@ class SlipWatch:
         prior = carried_prior(window, begin)
         if prior is None or model is None:
             return None
+        layout = window.layout
+        # What the landmarks tell of the last seconds is left out: of the time before it is in.
+        prior = without_landmarks(prior, layout.width, len(layout.parameters))
         tables = (prior, *window.factors(begin, window.tables.values()))
         problem = window.problem(begin, window.newest + 1, tables, as_turned=True)
         g = self._smoother.calibration.size

@@ -4,7 +4,8 @@ The graph of the window is a chain of keyframes with one calibration vector, so 
 from the oldest keyframe on is a square-root information filter: what is carried to a keyframe is
 the joint prior of its state and the calibration by everything older. New measurements at the
 newest keyframe need one step of that filter; late ones a few; and once a second the whole window
-is linearised anew at its smoothed states, robust weights included.
+is linearised anew at its smoothed states, robust weights included. Landmarks that the window sees
+join the calibration in one border; the others are put aside (`fgloc.online.landmarks`).
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from fgloc.core.geometry import chain
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
 from fgloc.factors.tables import FactorTable
+from fgloc.online.descent import descend
+from fgloc.online.keeper import Keeper
+from fgloc.online.landmarks import informed, split
 from fgloc.online.live_table import LiveTable
 from fgloc.online.passes import (
     Judged,
@@ -60,6 +64,8 @@ ROUGH = 1e-3
 """Relative decrease at which a minimum is found well enough; the next passes go on from there."""
 HELD = 6000
 """Keyframes that a window may hold while it is not known where the drive started."""
+TURNED = 5e-3
+"""A step that turns the window by more [rad] is followed by another where there are landmarks."""
 SETTLED = 0.3
 """A change of a robust weight that is worth another pass."""
 
@@ -104,7 +110,7 @@ class WindowSmoother:
         self._settings = settings
         self._gates = {d: gate_threshold(settings.gate_probability, d) for d in (1, 2, 3)}
         self._since_whole = 0
-        self.calibration = np.zeros(len(window.layout.parameters))
+        self.border = np.zeros(len(window.layout.parameters))
         self._posterior: Posterior | None = None
         self.repairs = 0
         self._strain = 0.0
@@ -113,12 +119,21 @@ class WindowSmoother:
         self._wait = 0
         self._pause = 1
         self.judged: list[Judged] = []
+        self._keeper = Keeper(window)
+        # Landmarks put aside that the next update takes back into use.
+        self.wanted: list[int] = []
+        self._anew = False
 
     @property
     def posterior(self) -> Posterior:
         """Return what is known at the keyframe solved last; there is one after `begin`."""
         assert self._posterior is not None
         return self._posterior
+
+    @property
+    def calibration(self) -> Floats:
+        """Return the (G,) calibration: the border's first columns."""
+        return self.border[: len(self.window.layout.parameters)]
 
     @property
     def unsolved(self) -> int:
@@ -141,7 +156,7 @@ class WindowSmoother:
         """
         for live in self.window.tables.values():
             live.weight.view[:] = 1.0
-        if not (np.isfinite(self.window.states.view).all() and np.isfinite(self.calibration).all()):
+        if not (np.isfinite(self.window.states.view).all() and np.isfinite(self.border).all()):
             raise SolverError("the window holds states that are not finite")
         self._repair()
         self._since_whole = 0
@@ -150,31 +165,34 @@ class WindowSmoother:
     def abandon(self, stamp_ns: int, state: Floats, joint: Floats) -> dict[str, Floats]:
         """Give up the window: all that is left is a keyframe of now, as dead reckoning has it.
 
-        `state` (B,) and `joint` (B+G, B+G) are those at the stamp, which is the newest one's or
-        later. Returns the last weights of all factors that are lost. Never raises.
+        `state` (B,) and `joint` (B+n, B+n) are those at the stamp, which is the newest one's or
+        later. Returns the last weights of all factors that are lost. Never raises. Landmarks are
+        put aside: what they have in common with the pose is lost as well.
         """
         window = self.window
         dropped = window.drop(window.add_keyframe(stamp_ns, state))
+        joint = self._keeper.abandon(state, self.border, joint)
+        self.border = self.calibration.copy()
         root, joint = definite(joint)
-        window.prior = prior_table(state, self.calibration, root)
-        self._posterior = Posterior(window.newest, self.calibration, root, joint.copy())
+        window.prior = prior_table(state, self.border, root)
+        self._posterior = Posterior(window.newest, self.border, root, joint.copy())
         self._strain = 0.0
         return dropped
 
     def update(self, dirty: int | None, joint: Floats, moved: Floats) -> dict[str, Floats]:
         """Smooth from the oldest keyframe with a new factor, `dirty`, on.
 
-        `joint` (B+G, B+G) is the predicted covariance of the newest state and the calibration,
-        `moved` (3, 3) that of the wheels' displacement since the last step; what new measurements
-        are worth is judged by them. Returns the last weights of all factors that left the window,
-        by sensor.
+        `joint` (B+n, B+n) is the predicted covariance of the newest state and the border, `moved`
+        (3, 3) that of the wheels' displacement since the last step; what new measurements are
+        worth is judged by them. Returns the last weights of all factors that left the window, by
+        sensor.
         """
         window, solved = self.window, self.posterior
         self._since_whole += window.newest - solved.number
         judging = (joint, moved, self._gates)
         # A long window is linearised anew the more seldom, so that the effort stays the same.
         often = max(self._settings.relinearise_every, len(window.stamps_ns) // SELDOM)
-        if self._since_whole < often:
+        if self._since_whole < often and not (self.wanted or self._anew):
             # Without a new factor the wheels' are all there is to go on by.
             oldest = window.newest if dirty is None else dirty
             forward = oldest > solved.number
@@ -184,38 +202,74 @@ class WindowSmoother:
                 step = self._step(begin, prior, forward, judging)
                 if step is not None and trusted(step):
                     self._accept(step)
+                    # What was solved before has turned: with landmarks about, what is carried no
+                    # longer fits where they are linearised, and would seem to know more.
+                    turned = abs(float(step.elimination.step[0, 2]))
+                    self._anew = bool(window.landmarks.used) and turned > TURNED
                     return {}
-        self._since_whole = 0
-        self._whole(judging)
-        self._explore()
-        return self._slide()
+        self._since_whole, self._anew = 0, False
+        idle = [k for k in self._keeper.idle() if k not in self.wanted]
+        if idle:
+            self.border, joint = self._keeper.put_aside(idle, self.border, joint)
+        if self.wanted:
+            wanted, self.wanted = self.wanted, []
+            self.border = self._keeper.take_back(wanted, self.border)
+        step = self._whole((joint, moved, self._gates))
+        return self._slide(self._explore() or step)
+
+    def inform(self, residual: Floats, by_border: Floats) -> None:
+        """Tell something of landmarks in use; see `informed`. The next update is over all."""
+        window = self.window
+        assert window.prior is not None
+        width = window.layout.width
+        window.prior = informed(window.prior, width, self.border, residual, by_border)
+        self._anew = True
+
+    def jolt(self, begin: int, sigma: Floats) -> None:
+        """Allow for motion that the wheels do not know of; see `Window.jolt`.
+
+        The next update is over all.
+        """
+        self.window.jolt(begin, sigma, self.calibration)
+        self._anew = True
+
+    def enter(self, guesses: Floats, root: Floats) -> list[int]:
+        """Take new landmarks into use; see `Keeper.enter`. Returns their numbers."""
+        numbers, self.border, self._posterior = self._keeper.enter(
+            guesses, root, self.border, self.posterior
+        )
+        return numbers
 
     def strain(self) -> float:
         """Return the mean cost of fixes and cameras in the last pass over the whole window."""
         return self._strain
 
-    def _explore(self) -> None:
-        """Look for a better minimum where the fixes are missed, more seldom the more in vain."""
+    def _explore(self) -> Pass | None:
+        """Look for a better minimum where the fixes are missed, more seldom the more in vain.
+
+        Returns the last pass over the window, None where there was none.
+        """
         fixes = sum(t.added for t in self.window.tables.values() if t.kind in ARBITERS)
         new, self._fixes = fixes > self._fixes, fixes
         if not new or self.strain() < STRAINED:
-            return
+            return None
         self._wait -= 1
         if self._wait > 0:
-            return
+            return None
         self._repair()
-        self._whole(None)
+        step = self._whole(None)
         if self.strain() < STRAINED:
             self._pause = 1
         else:
             self._pause *= 2
         self._wait = self._pause
+        return step
 
     def _step(
         self, begin: int, prior: FactorTable, forward: bool, judging: Judging | None
     ) -> Pass | None:
         """Take one step and note what the new measurements' innovations were."""
-        step, judged = run_pass(self.window, begin, prior, self.calibration, forward, judging)
+        step, judged = run_pass(self.window, begin, prior, self.border, forward, judging)
         self.judged += judged
         return step
 
@@ -226,10 +280,13 @@ class WindowSmoother:
         if not (np.isfinite(posterior.covariance).all() and (variances > 0.0).all()):
             raise SolverError("the newest keyframe has no finite covariance")
         self._posterior = posterior
-        self.calibration = step.calibration
+        self.border = step.border
 
-    def _whole(self, judging: Judging | None) -> None:
-        """Linearise the whole window anew, twice where the weights change much."""
+    def _whole(self, judging: Judging | None) -> Pass:
+        """Linearise the whole window anew, twice where the weights change much.
+
+        Returns the last step.
+        """
         window = self.window
         assert window.prior is not None
         window.integrate_again(self.calibration)
@@ -245,13 +302,20 @@ class WindowSmoother:
             self._accept(step)
             # Not the step itself: it is as large as the window, and would be in every checkpoint.
             self._strain = mean_cost(step.tables, step.squared)
-            if reweight(window, step) < SETTLED:
+            settled = reweight(window, step) < SETTLED
+            if settled and not (window.landmarks.used and step.turned > TURNED):
                 break
+        assert step is not None
+        return step
 
     def _repair(self, explore: bool = True) -> None:
         """Look for the window's minimum with damped steps: the plain ones led too far."""
         assert self.window.prior is not None
         self.repairs += 1
+        if self.window.landmarks.used:
+            self.border = descend(self.window, self.border)
+            self.window.integrate_again(self.calibration)
+            return
         self._move_to(self._minimum(self.window.prior, self.window.tables.values(), explore))
 
     def _minimum(self, prior: FactorTable, live: Iterable[LiveTable], explore: bool) -> Point:
@@ -302,7 +366,7 @@ class WindowSmoother:
         window = self.window
         end = window.newest + 1
         window.states.view[:] = point.states
-        self.calibration = point.u
+        self.border = point.u
         window.integrate_again(point.u)
         for live in window.tables.values():
             for table, weights in zip(point.tables, point.weights, strict=True):
@@ -342,8 +406,11 @@ class WindowSmoother:
         vague = posterior.covariance[2, 2] > SURE**2
         return fixed and vague and len(self.window.stamps_ns) < LONGEST
 
-    def _slide(self) -> dict[str, Floats]:
-        """Sum up keyframes older than the lag in a prior; return their factors' last weights."""
+    def _slide(self, step: Pass) -> dict[str, Floats]:
+        """Sum up keyframes older than the lag in a prior; return their factors' last weights.
+
+        `step` is the last pass over the whole window.
+        """
         window, lag = self.window, self._settings.lag_s
         if not np.isfinite(lag):
             return {}
@@ -359,11 +426,18 @@ class WindowSmoother:
         prior = carried_prior(window, oldest)
         if prior is None:
             return {}
+        aside = window.landmarks.aside
+        if aside.numbers:
+            aside.rebase(step.before[0], step.border - step.elimination.calibration_step)
+            for k in range(oldest - window.base):
+                aside.step(step.elimination.triangular[k], step.before[k + 1])
         window.prior = prior
         seconds = (window.stamp(oldest) - window.stamp(window.base)) * 1e-9
         walk = self._settings.calibration_walk * np.sqrt(seconds)
         free = window.layout.parameters[: len(window.layout.free)]
         if walk > 0.0 and free:
             sigma = np.array([p.solver_sigma for p in free])
-            window.prior = after_walk(prior, window.layout.width, walk * sigma)
+            window.prior, walked = after_walk(prior, window.layout.width, walk * sigma)
+            if aside.numbers:
+                aside.walk(walked, split(prior, aside.width)[2])
         return window.drop(oldest)

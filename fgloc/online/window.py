@@ -15,8 +15,9 @@ from fgloc.core.measurements import Floats, Stamps
 from fgloc.core.preintegration import SplitIncrements, rounding_sigma
 from fgloc.factors.robust import Loss
 from fgloc.factors.slip import slip_effect
-from fgloc.factors.tables import FactorTable, Kind
+from fgloc.factors.tables import LANDMARK, FactorTable, Kind
 from fgloc.online.growing import GrowingArray
+from fgloc.online.landmarks import Landmarks, wider
 from fgloc.online.layout import Layout
 from fgloc.online.live_table import LiveTable
 from fgloc.smoothing.problem import HIDDEN, Problem, predicted_displacement
@@ -49,25 +50,29 @@ class Window:
         # Slips of the wheels in the interval that ends at each keyframe, and what is known of them.
         self.slips = GrowingArray((driven,))
         self.slip_sigmas = GrowingArray((driven,))
+        # What may have moved the robot besides its wheels in that interval: sigmas [m, m, rad].
+        self.jolts = GrowingArray((3,))
+        self.jolted = -1
         self.slipping = np.zeros(driven)
         self.slipped = -1
         # Stamps, slips and sigmas of the intervals with slip that have left the window.
         self.slip_history: list[tuple[int, int, Floats, Floats]] = []
         self._pieces = 0
         self._dropped = 0
+        self.landmarks = Landmarks(layout.width, n - layout.width)
         self.tables: dict[tuple[str, Kind], LiveTable] = {}
         f = len(layout.free)
         self.wheels = self.table(Kind.WHEEL, WHEELS, (3 + 3 * f, 3), slice(0, f), wheel_loss)
         # The calibration at which the wheels' displacements were integrated last.
         self._reference = np.zeros(n - layout.width)
         # The newest calibration: what the wheels predict for other sensors is taken there.
-        self._latest = np.zeros(n - layout.width)
+        self.latest = np.zeros(n - layout.width)
         self.prior: FactorTable | None = None
         # What elimination carried to each keyframe (square-root information of its state and the
-        # calibration by everything older), and where it was linearised.
+        # border by everything older), and where it was linearised.
         self.carry = GrowingArray((n, n + 1))
         self.linear_states = GrowingArray((layout.width,))
-        self.linear_calibration = GrowingArray((n - layout.width,))
+        self.linear_border = GrowingArray((n - layout.width,))
 
     @property
     def newest(self) -> int:
@@ -86,7 +91,11 @@ class Window:
         """Return the live table of a kind and sensor, made on first use."""
         key = (sensor, kind)
         if key not in self.tables:
-            self.tables[key] = LiveTable(kind, sensor, sizes, calibration, loss, slot)
+            marks = self.landmarks
+            places = marks.places if kind in LANDMARK else None
+            self.tables[key] = LiveTable(
+                kind, sensor, sizes, calibration, loss, slot, places, marks.parameters
+            )
         return self.tables[key]
 
     def add_piece(self, angles: Floats, steering: Floats, seconds: float) -> None:
@@ -103,16 +112,17 @@ class Window:
         self._bounds.append(self._pieces)
         self.slips.append(self.slipping)
         self.slip_sigmas.append(np.where(self.slipping == 0.0, 0.0, GUESSED))
+        self.jolts.append(0.0)
         if self.slipping.any():
             self.slipped = self.newest
         self.carry.append(0.0)
         self.linear_states.append(state)
-        self.linear_calibration.append(0.0)
+        self.linear_border.append(0.0)
         return self.newest
 
     def close_interval(self, calibration: Floats) -> None:
         """Make the wheels' factor between the two newest keyframes."""
-        self._latest = calibration.copy()
+        self.latest = calibration.copy()
         table = self._wheel_table(self.newest - 1, calibration)
         self.wheels.add(
             self.newest - 1, table.measurements[0], table.sqrt_information[0], weight=1.0
@@ -121,6 +131,11 @@ class Window:
     def _wheel_table(self, begin: int, calibration: Floats) -> FactorTable:
         """Return the wheels' factors from keyframe `begin` on, as uncertain as their slips."""
         table = self.problem(begin, self.newest + 1, ()).wheel_table(calibration)
+        if self.jolted > begin:
+            jolts = self.jolts.view[begin - self.base + 1 :]
+            k = np.flatnonzero(jolts.any(axis=1))
+            spread = jolts[k][:, :, None] * np.eye(3)
+            table.sqrt_information[k] = _spread(table.sqrt_information[k], spread)
         sigma = self.slip_sigmas.view[begin - self.base + 1 :]
         k = np.flatnonzero(sigma.any(axis=1)) if self.slipped > begin else np.zeros(0, np.int64)
         if not k.size:
@@ -130,12 +145,22 @@ class Window:
             self.slips.view[begin - self.base + 1 :],
         )
         _, effect = slip_effect(raw, self.layout.robot, self.layout.values(calibration), slips)
-        root = table.sqrt_information[k]
-        covariance = np.linalg.inv(root.swapaxes(1, 2) @ root)
         spread = effect[k] * sigma[k][:, None, :]
-        wider = np.linalg.cholesky(covariance + spread @ spread.swapaxes(1, 2))
-        table.sqrt_information[k] = np.linalg.inv(wider)
+        table.sqrt_information[k] = _spread(table.sqrt_information[k], spread)
         return table
+
+    def jolt(self, begin: int, sigma: Floats, calibration: Floats) -> None:
+        """Allow for `sigma` (3,) [m, m, rad] of motion in each interval since keyframe `begin`.
+
+        That the wheels know nothing of: the robot was lifted, pushed, or its wheels hung in the
+        air. Their factors are believed anew.
+        """
+        self.jolts.view[begin - self.base + 1 :] = sigma
+        self.jolted = self.newest
+        rows = self.wheels.rows(begin, self.newest + 1)
+        table = self._wheel_table(begin, calibration)
+        self.wheels.sqrt_information.view[rows] = table.sqrt_information
+        self.wheels.weight.view[rows] = 1.0
 
     def set_slips(self, begin: int, slips: Floats, sigmas: Floats, calibration: Floats) -> None:
         """Take (N, D) slips and their sigmas for the N intervals from keyframe `begin` on.
@@ -177,7 +202,7 @@ class Window:
         """Return the (3,) displacement from keyframe `number` to the next that wheels predict."""
         rows = self.wheels.rows(number, number + 2)
         table = self.wheels.view(rows, number)
-        moved: Floats = predicted_displacement(table, self._latest)[0]
+        moved: Floats = predicted_displacement(table, self.latest)[0]
         return moved
 
     def slips_until(self, count: int) -> list[tuple[int, int, Floats, Floats]]:
@@ -262,12 +287,41 @@ class Window:
             turn_spread=np.zeros((unknown.size, 2)),
         )
 
+    def widen(self, guesses: Floats, root: Floats) -> None:
+        """Give the border more columns, of which `root` (m, m) is known about `guesses` (m,)."""
+        assert self.prior is not None
+        self.prior = wider(self.prior, self.layout.width, guesses, root)
+        self.landmarks.aside.widen(guesses)
+        old, at = self.carry.view, self.linear_border.view
+        k, n, m = old.shape[0], old.shape[1], guesses.size
+        carry, border = np.zeros((k, n + m, n + m + 1)), np.zeros((k, at.shape[1] + m))
+        carry[:, :n, :n], carry[:, :n, -1] = old[:, :, :n], old[:, :, n]
+        carry[:, n:, n:-1] = root
+        border[:, : at.shape[1]], border[:, at.shape[1] :] = at, guesses
+        self._carry(carry, border)
+
+    def rearrange(self, columns: int) -> None:
+        """Give the border another number of columns; nothing is carried to any keyframe."""
+        k, n = len(self.stamps_ns), self.layout.width + columns
+        self._carry(np.zeros((k, n, n + 1)), np.zeros((k, columns)))
+
+    def _carry(self, carry: Floats, border: Floats) -> None:
+        """Hold what is carried, and where the border was linearised, in other sizes."""
+        room = 2 * carry.shape[0] + 16
+        self.carry = GrowingArray(carry.shape[1:], capacity=room)
+        self.carry.replace(carry)
+        self.linear_border = GrowingArray(border.shape[1:], capacity=room)
+        self.linear_border.replace(border)
+
     def factors(self, begin: int, tables: Iterable[LiveTable]) -> list[FactorTable]:
-        """Return the factors of live tables from keyframe `begin` on, but for the wheels'."""
+        """Return the factors of live tables from keyframe `begin` on.
+
+        But for the wheels', and for those that see landmarks.
+        """
         found = []
         for live in tables:
             rows = live.rows(begin, self.newest + 1)
-            if rows.start < rows.stop and live is not self.wheels:
+            if rows.start < rows.stop and live is not self.wheels and not live.sees_landmarks:
                 found.append(live.view(rows, begin))
         return found
 
@@ -285,10 +339,11 @@ class Window:
             self.states,
             self.slips,
             self.slip_sigmas,
+            self.jolts,
             self._bounds,
             self.carry,
             self.linear_states,
-            self.linear_calibration,
+            self.linear_border,
         ):
             column.drop(count)
         for increments in (self._angles, self._steering, self._seconds):
@@ -300,3 +355,10 @@ class Window:
             if table.kind not in HIDDEN:
                 weights[table.sensor] = gone
         return weights
+
+
+def _spread(root: Floats, spread: Floats) -> Floats:
+    """Return square-root information (K, 3, 3) of what has an error spread (K, 3, m) more."""
+    covariance = np.linalg.inv(root.swapaxes(1, 2) @ root)
+    wider = np.linalg.cholesky(covariance + spread @ spread.swapaxes(1, 2))
+    return np.asarray(np.linalg.inv(wider))

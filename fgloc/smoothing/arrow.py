@@ -78,14 +78,17 @@ def stack(
     keyframes: int,
     width: int,
     prior: Floats,
+    landmarks: int = -1,
 ) -> ChainRows:
     """Return the rows of linearised tables with their robust weights (M,), sorted by keyframe.
 
-    `prior` (P, G + 1) are rows on the calibration alone. Raises FglocError for factors that see
-    landmarks or join keyframes far apart: see `smoothing.network` and `smoothing.isam`. O(N).
+    `prior` (P, G + 1) are rows on the calibration alone. Landmarks may be part of it, from column
+    `landmarks` on, two columns each: few of them, since all are dense. Raises FglocError for
+    factors that see landmarks without that, or join keyframes far apart: see `smoothing.network`
+    and `smoothing.isam`. O(N).
     """
     for table, _, _ in linear:
-        if table.links:
+        if table.links and not (table.sees_landmarks and landmarks >= 0):
             raise FglocError(f"{table.sensor}: landmarks and matches do not fit into a chain")
     g = prior.shape[1] - 1
     count = np.zeros(keyframes, dtype=np.int64)
@@ -94,10 +97,13 @@ def stack(
     bounds = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
     rows = np.zeros((int(bounds[-1]), 2 * width + g + 1))
     cursor = bounds[:-1].copy()
+    nothing = np.zeros(0, np.int64)
     for table, lin, weight in linear:
         _place(
             table.first,
             table.pairwise,
+            nothing if table.second is None else table.second,
+            2 * width + landmarks,
             np.sqrt(weight),
             lin.residual,
             lin.by_first,
@@ -114,6 +120,8 @@ def stack(
 def _place(
     first: Stamps,
     pairwise: bool,
+    second: Stamps,
+    landmarks: int,
     root: Floats,
     r: Floats,
     ji: Floats,
@@ -136,6 +144,9 @@ def _place(
                     row[b + a] = root[k] * jj[k, q, a]
             for a in range(g):
                 row[offset + a] = root[k] * jg[k, q, a]
+            if second.size:
+                for a in range(2):
+                    row[landmarks + 2 * second[k] + a] = root[k] * jj[k, q, a]
             row[last] = -root[k] * r[k, q]
 
 
@@ -144,9 +155,10 @@ def _triangularise(a: Floats, rows: int, cols: int, active: Stamps) -> None:
     """Make the first `cols` columns of a[:rows] upper triangular by Householder reflections.
 
     Rows with a zero in the column stay out of its reflection, so what is carried along the chain,
-    triangular already, costs next to nothing.
+    triangular already, costs next to nothing. Row by row, since rows lie in one piece in memory.
     """
     width = a.shape[1]
+    t = np.empty(width)
     for j in range(min(rows, cols)):
         active[0] = j
         m = 1
@@ -162,14 +174,20 @@ def _triangularise(a: Floats, rows: int, cols: int, active: Stamps) -> None:
         lead = a[j, j] - alpha
         scale = 2.0 / (norm - a[j, j] * a[j, j] + lead * lead)
         for c in range(j + 1, width):
-            t = lead * a[j, c]
-            for q in range(1, m):
-                t += a[active[q], j] * a[active[q], c]
-            if t != 0.0:
-                t *= scale
-                a[j, c] -= t * lead
-                for q in range(1, m):
-                    a[active[q], c] -= t * a[active[q], j]
+            t[c] = lead * a[j, c]
+        for q in range(1, m):
+            row = a[active[q]]
+            v = row[j]
+            for c in range(j + 1, width):
+                t[c] += v * row[c]
+        for c in range(j + 1, width):
+            t[c] *= scale
+            a[j, c] -= t[c] * lead
+        for q in range(1, m):
+            row = a[active[q]]
+            v = row[j]
+            for c in range(j + 1, width):
+                row[c] -= t[c] * v
         a[j, j] = alpha
         for q in range(1, m):
             a[active[q], j] = 0.0

@@ -28,8 +28,9 @@ FEW = 4
 """Linearisations of each of its two stages at most."""
 AGAIN = 4.0
 """What is handed on is inflated by this, since a part of it is counted twice."""
-NEW_M = 1e3
-"""Prior sigma of a landmark that was not seen before [m]."""
+NEW_M = 100.0
+"""Prior sigma of a landmark that was not seen before, about where its first sighting puts it [m].
+With 1 km and a mounting to calibrate, marginals of a first piece are too poorly conditioned."""
 
 
 @dataclass

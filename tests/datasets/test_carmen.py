@@ -135,6 +135,7 @@ def test_what_cannot_be_used_is_counted(tmp_path: Path) -> None:
     more = (
         "ODOM 12 5 nan 1134864630.100000",
         "ODOM 12 5 0 1134864629.000000",
+        "ODOM 12 5 0 1e18",
         "LASER_READING 5 1 1 1 1 1 inf 5 0 1134864630.200000",
         "LASER_READING 5 1 1 1 1 1 12 5 0 1134864629.000000",
         # A stamp of the last odometry line with another pose: nothing tells when it was.
@@ -148,6 +149,7 @@ def test_what_cannot_be_used_is_counted(tmp_path: Path) -> None:
         "truncated line": 1,
         "odometry not a number": 1,
         "odometry time goes back": 1,
+        "odometry stamp out of range": 1,
         "scan not a number": 1,
         "scan time goes back": 1,
         "scan after the last odometry line": 1,

@@ -48,15 +48,17 @@ def test_a_run_by_hand(tmp_path: Path) -> None:
     drive = loaded(tmp_path)
     # A command holds until the next one, and is carried out 0.2 s later.
     assert drive.wheels.stamps_ns.tolist() == [100_200_000_000, 100_700_000_000, 101_700_000_000]
-    np.testing.assert_allclose(drive.wheels.angles, [[0.05, 0, 0, 0], [0.2, 0, -0.4, 0.4]])
-    # 0.4 rad cost 0.4 · 0.09 m of the way.
+    np.testing.assert_allclose(drive.wheels.angles, [[0.05, 0, 0, 0], [0.2, 0, -0.4, 0.08]])
+    # Turning with 0.4 rad/s costs 1.1 · 0.4 of the way.
     moved = drive.robot.base.displacements(drive.wheels.angles)
-    np.testing.assert_allclose(moved, [[0.05, 0, 0], [0.2 - 0.036, 0, -0.4]], atol=1e-15)
+    np.testing.assert_allclose(moved, [[0.05, 0, 0], [0.2 * 0.56, 0, -0.4]], atol=1e-15)
     seen = sightings(drive)
     assert seen.landmark.tolist() == [6, 7]
-    assert seen.range_m.tolist() == [3.5, 4.0]
+    # Depths, 4 % too large, and stamped 40 ms late.
+    expected = [3.5 / 1.04 / np.cos(0.25), 4.0 / 1.04 / np.cos(0.5)]
+    np.testing.assert_allclose(seen.range_m, expected)
     assert seen.bearing.tolist() == [-0.25, 0.5]
-    assert seen.stamps_ns.tolist() == [100_250_000_000, 101_000_000_000]
+    assert seen.stamps_ns.tolist() == [100_210_000_000, 100_960_000_000]
     assert seen.survey is not None
     assert seen.survey.landmark.tolist() == [6, 7]
     assert seen.survey.positions.tolist() == [[1.5, -4.25], [2, 3]]
@@ -78,20 +80,23 @@ def test_the_priors_hold_what_the_robots_do(tmp_path: Path) -> None:
 def test_what_cannot_be_used_is_counted(tmp_path: Path) -> None:
     drive = loaded(
         tmp_path,
-        Robot1_Odometry=FILES["Robot1_Odometry"] + "101.5 9 9\n101.4 9 9\nnan 0 0\n102 0 0\n103 0",
+        Robot1_Odometry=FILES["Robot1_Odometry"]
+        + "101.5 9 9\n101.4 9 9\nnan 0 0\n1e18 0 0\n102 0 0\n103 0",
         Robot1_Measurement=FILES["Robot1_Measurement"]
-        + "101 43 1 1\n101 90 nan 1\n100.9 90 1 1\n101 90 0 1\n101 5 1 1\n",
+        + "101 43 1 1\n101 90 nan 1\n100.9 90 1 1\n101 90 0 1\n101 90 1 1.3\n101 5 1 1\n",
         Robot1_Groundtruth=FILES["Robot1_Groundtruth"] + "102 1 1 1\n103 1 1 inf\n",
     )
     assert drive.rejected == {
         "truncated line": 1,
         "odometry not a number": 1,
+        "odometry stamp out of range": 1,
         "odometry repeated stamp": 1,
         "odometry time goes back": 1,
         "sighting not a number": 1,
         "sighting of an unknown barcode": 1,
         "sighting of another robot": 2,
         "sighting without a distance": 1,
+        "sighting out of the camera's sight": 1,
         "sighting time goes back": 1,
         "truth repeated stamp": 1,
         "truth not a number": 1,
@@ -150,9 +155,17 @@ def test_sightings_fit_the_truth_as_recorded(data_dir: Path, run: str, others: i
     ]
     where = seen.survey.positions[np.searchsorted(seen.survey.landmark, seen.landmark)]
     east, north = where[:, 0] - at[0], where[:, 1] - at[1]
-    apart = seen.range_m - np.hypot(east, north)
+    distance = np.hypot(east, north)
     turned = geometry.wrap(seen.bearing - (np.arctan2(north, east) - at[2]))
     # The drive's sigmas are for all five robots; these two are within a factor of two of them.
-    assert 0.5 < float(np.std(apart)) / seen.range_sigma < 2
+    off = seen.range_m - distance
+    assert 0.5 < float(np.sqrt(np.mean(off**2))) / seen.range_sigma < 2
     assert 0.5 < float(np.std(turned)) / seen.bearing_sigma < 2
     assert abs(float(np.median(turned))) < 0.005
+    # What is published is no distance: it is four times as far off, even with a scale of its own.
+    published = seen.range_m * np.cos(seen.bearing)
+    kept = [
+        float(np.std(v / distance / np.median(v / distance))) for v in (seen.range_m, published)
+    ]
+    assert kept[0] < 0.016
+    assert kept[1] > 3 * kept[0]

@@ -80,6 +80,8 @@ def test_a_curved_wall_is_cut_finely_enough(tmp_path: Path) -> None:
         ("", "", r"no \[course\]"),
         ("", "[course]\nwaypoints = [[0, 0]]\n", "at least two waypoints"),
         ("", "[course]\nwaypoints = [[0, 0], [1, 0], [1, 0]]\n", "another than the one before"),
+        ("", "[course]\nwaypoints = [[0, 0], [inf, 0]]\n", "within 10000 m"),
+        ("", "[course]\nwaypoints = [[0, 0], [99, 0]]\nspeed = 0.005\n", "more than 36000 s"),
         ("", COURSE + "speed = 0\n", r"a\.toml:3: course\.speed must be"),
         ("", COURSE + "laps = ['back']\n", "along and sideways"),
         ("", COURSE + "laps = [", r"a\.toml.*is not TOML"),

@@ -88,7 +88,7 @@ def ring() -> Floats:
 
 @pytest.fixture(scope="session")
 def around_the_ring() -> Floats:
-    """Return poses (N, 3) of a drive once and a quarter round the ring, 0.25 m from pose to pose."""
+    """Return poses (N, 3) of a drive once and a quarter round the ring, one each 0.25 m."""
     corners = np.array([(1.0, 1.0), (15.0, 1.0), (15.0, 9.0), (1.0, 9.0)])
     poses: list[tuple[float, float, float]] = []
     for side in range(5):

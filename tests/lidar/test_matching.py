@@ -21,7 +21,7 @@ def test_finds_the_displacement_without_noise(look: Look, room: Floats) -> None:
     there = np.array([1.6, 1.3, 0.5])
     fixed, moving = look(room, np.array([HERE, there]), 1, 0.0)
     true = between(HERE, there)
-    found = match(fixed, moving, true + (0.12, -0.09, 0.1))
+    found = match(fixed, moving, true + np.array([0.12, -0.09, 0.1]))
     np.testing.assert_allclose(found.relative, true, atol=0.004)
     assert found.converged
     assert found.overlap > 0.9
@@ -63,7 +63,7 @@ def test_covariance_is_honest(look: Look, room: Floats) -> None:
     true = between(HERE, there)
     squared = []
     for k in range(150):
-        found = match(scans[2 * k], scans[2 * k + 1], true + (0.05, 0.05, 0.03))
+        found = match(scans[2 * k], scans[2 * k + 1], true + np.array([0.05, 0.05, 0.03]))
         off = found.relative - true
         squared.append(off @ np.linalg.solve(found.covariance, off))
     assert 0.3 < np.mean(squared) < 4.0
@@ -122,6 +122,6 @@ def test_a_moving_obstacle_does_not_pull(look: Look, room: Floats) -> None:
     (fixed,) = look(room, HERE[None], 1, 0.0)
     (moving,) = look(np.vstack([room, person]), there[None], 1, 0.0)
     true = between(HERE, there)
-    off = match(fixed, moving, true + (0.1, 0.0, 0.05)).relative - true
+    off = match(fixed, moving, true + np.array([0.1, 0.0, 0.05])).relative - true
     assert np.hypot(off[0], off[1]) < 0.01
     assert abs(wrap(off[2])) < 0.01

@@ -11,7 +11,7 @@ import pytest
 
 from fgloc.core.consistency import average, each_squared_normalised
 from fgloc.errors import FglocError
-from fgloc.experiments.detection_range import accepted_share, chance
+from fgloc.experiments.rooms.detection import accepted, draws_accepted, wall_scans
 from fgloc.lidar.lines import extract
 from fgloc.lidar.ransac import RansacSettings, extract_ransac
 from fgloc.lidar.scan import cloud
@@ -25,12 +25,12 @@ def test_chance_that_a_draw_on_a_wall_is_accepted() -> None:
         sum(math.comb(25, k) * p**k * (1 - p) ** (25 - k) for k in range(21, 26))
         for p in (math.erf(1.5 / math.sqrt(2)), math.erf(1.0 / math.sqrt(2)))
     ]
-    assert chance(1.0) == pytest.approx(binomial[0], rel=1e-9)
-    assert chance(1.5) == pytest.approx(binomial[1], rel=1e-9)
+    assert accepted(1.0, 0.01, 25, 21, 0.015) == pytest.approx(binomial[0], rel=1e-9)
+    assert accepted(1.5, 0.01, 25, 21, 0.015) == pytest.approx(binomial[1], rel=1e-9)
     assert binomial == pytest.approx([0.76, 0.06], abs=0.006)
     # A line fitted to the same beams is nearer to them than the wall is.
-    assert 0.76 < accepted_share(1.0, 4000, np.random.default_rng(1)) < 0.92
-    assert 0.06 < accepted_share(1.5, 4000, np.random.default_rng(1)) < 0.2
+    assert 0.76 < draws_accepted(wall_scans(1.0, 1)) < 0.92
+    assert 0.06 < draws_accepted(wall_scans(1.5, 1)) < 0.2
 
 
 def test_near_walls_are_found_several_times_and_far_ones_never() -> None:

@@ -73,7 +73,7 @@ def counted(engine: OnlineEngine, packets: Iterable[Packet]) -> None:
     for packet in packets:
         sent[packet.sensor] = sent.get(packet.sensor, 0) + 1
     engine.finish()
-    for name in engine.fix_tables:
+    for name in engine.spots.fixes:
         count = engine.tally[name].count()
         total = count.accepted + count.down_weighted + count.rejected
         assert total == sent.get(name, 0), (name, engine.tally[name], sent)

@@ -107,16 +107,16 @@ def test_fixes_that_wait_for_the_wheels_and_open_intervals_are_kept(
     for k, packet in enumerate(everything[:1500]):
         hand_over(engine, [packet])
         is_open = engine.now_ns > engine.window.stamp(engine.window.newest)
-        if engine.waiting or (is_open and between < 3):
-            waited += bool(engine.waiting)
+        if engine.spots.waiting or (is_open and between < 3):
+            waited += bool(engine.spots.waiting)
             between += is_open
             other = saved_and_restored(engine, drive, tmp_path / "state.npz")
-            assert len(other.waiting) == len(engine.waiting)
+            assert len(other.spots.waiting) == len(engine.spots.waiting)
             # A copy of the engine goes on, since the original is still needed here.
             first = saved_and_restored(engine, drive, tmp_path / "state.npz")
             few = everything[k + 1 : k + 60]
             assert hand_over(other, few).tobytes() == hand_over(first, few).tobytes()
-            assert other.waiting == []
+            assert other.spots.waiting == []
     assert waited > 0
     assert between > 0
 
@@ -157,7 +157,7 @@ def test_goes_on_while_the_start_is_not_known_yet(tmp_path: Path) -> None:
     first_fix = next(k for k, p in enumerate(everything) if p.sensor == "fixes")
     places = [first_fix - 3, first_fix + 20, len(everything) * 3 // 4]
     engine = assert_goes_on(drive, SHORT_LAG, places, tmp_path / "state.npz")
-    assert engine.aligner is None  # it was found in the end
+    assert engine.spots.aligner is None  # it was found in the end
 
 
 def same(a: Any, b: Any, where: str, seen: dict[int, int]) -> Iterator[str]:

@@ -45,7 +45,7 @@ def test_propagated_covariance_is_that_of_drawn_starts_and_calibrations() -> Non
     )
     errors = np.empty((draws.shape[0], 3))
     for k, draw in enumerate(draws):
-        integrator.restart(engine.layout.values(posterior.calibration + draw[3:]))
+        integrator.restart(engine.layout.values(posterior.border + draw[3:]))
         for packet in left:
             integrator.add(packet.values, np.zeros(2), 0.1)
         start = compose(state[:3], draw[:3])
@@ -84,7 +84,7 @@ def test_a_walk_of_the_calibration_adds_to_its_covariance() -> None:
     prior = prior_table(np.zeros(b), np.zeros(n - b), root)
     expected = np.linalg.inv(root.T @ root)
     walk = np.array([0.01 * p.solver_sigma for p in layout.parameters[:free]])
-    walked = after_walk(prior, b, walk).sqrt_information[0]
+    walked = after_walk(prior, b, walk)[0].sqrt_information[0]
     own = np.arange(b, b + free)
     expected[own, own] += walk**2
     np.testing.assert_allclose(np.linalg.inv(walked.T @ walked), expected, rtol=1e-8, atol=1e-12)
@@ -134,7 +134,7 @@ def test_a_start_found_after_standing_for_a_minute(
         later = replace(packet, stamp_ns=packet.stamp_ns + wait)
         feed(engine, later)
         sent.append(later)
-    assert engine.aligner is None
+    assert engine.spots.aligner is None
     metres, turn = final_error(engine.propagation.state, drive.truth.trajectory.poses[-1])
     assert metres < 0.15, metres
     assert turn < 0.15, turn
