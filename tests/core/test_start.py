@@ -29,9 +29,7 @@ def drive(
         "straight",
         Robot("robot", BASE, typical_noise("differential")),
         WheelIncrements("wheels", stamps, angles, BASE.driven_names),
-        truth=Reference(
-            Trajectory(np.round(at * SECOND).astype(np.int64), poses), mount=mount
-        ),
+        truth=Reference(Trajectory(np.round(at * SECOND).astype(np.int64), poses), mount=mount),
     )
 
 

@@ -163,9 +163,7 @@ def test_a_wall_through_the_origin_is_one_like_others(normal: float) -> None:
     found, wall = associate(seen(rows, poses), poses, SLACK)
     assert wall.tolist() == [0, 0]
     assert found.offset[0] == pytest.approx(0.0, abs=1e-12)
-    np.testing.assert_allclose(
-        np.sort(found.ends[0] @ t), [-1.1, 1.2], atol=1e-9
-    )
+    np.testing.assert_allclose(np.sort(found.ends[0] @ t), [-1.1, 1.2], atol=1e-9)
 
 
 def test_a_wall_far_from_the_origin_is_refined_where_it_is() -> None:

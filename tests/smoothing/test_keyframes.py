@@ -81,9 +81,7 @@ def test_every_scan_in_use_stands_at_its_keyframe() -> None:
     assert front is not None
     problem = build_problem(simulated, Settings(), front)
     assert problem.scene is not None
-    np.testing.assert_array_equal(
-        problem.keyframes_ns[problem.scene.at], front.scans.stamps_ns
-    )
+    np.testing.assert_array_equal(problem.keyframes_ns[problem.scene.at], front.scans.stamps_ns)
     (every,) = simulated.each(Scans)
     np.testing.assert_array_equal(every.stamps_ns[front.numbers], front.scans.stamps_ns)
     np.testing.assert_array_equal(every.ranges[front.numbers], front.scans.ranges)
