@@ -243,12 +243,13 @@ def test_people_who_walk_by_do_not_matter() -> None:
     assert scores(result, drive).ate_rmse_m < 0.02
 
 
-@pytest.mark.parametrize("seed", [1, 3])
-def test_a_round_hall_is_not_worse_than_wheels(seed: int) -> None:
-    # Round walls look straight for a while, then there is nothing in range for 10 m.
-    drive = load_sim(f"hall?seed={seed}&duration=40")
+@pytest.mark.parametrize("query", ["seed=1", "seed=3", "seed=4&people=1"])
+def test_a_round_hall_is_not_worse_than_wheels(query: str) -> None:
+    # Round walls look straight for a while, then there is nothing in range for 10 m but, perhaps,
+    # a person who walks: scans that show nothing else are not to be laid on each other.
+    drive = load_sim(f"hall?{query}&duration=45")
     result = smooth(drive)
-    assert scores(result, drive).ate_rmse_m < max(wheels_alone(drive), 0.05)
+    assert scores(result, drive).ate_rmse_m < min(wheels_alone(drive), 0.1)
     nees = scores(result, drive).nees
     assert nees is not None
     assert nees < 9.0
