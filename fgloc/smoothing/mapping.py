@@ -35,7 +35,7 @@ ROUNDS = (
     Slack(0.02, 0.004),
 )
 """How far poses may be off while segments are associated, round by round."""
-FEWEST = 5
+FEWEST = 3
 """A wall seen less often is none: a door that moved, a person."""
 UNSURE = np.radians(1.0)
 """A wall whose direction is not known to this sigma [rad] is not drawn in the map."""
