@@ -169,7 +169,7 @@ def test_the_walls_of_batch_are_in_the_json(
     assert found["segments"]["associated"] == sum(w["sightings"] for w in found["walls"])
     assert found["segments"]["associated"] > 0.8 * found["segments"]["seen"]
     for wall in found["walls"]:
-        assert wall["sightings"] >= 5
+        assert wall["sightings"] >= 3
         assert 0.0 < wall["sigma_offset"] < 0.1
         (x1, y1), (x2, y2) = wall["ends"]
         assert wall["length"] == pytest.approx(np.hypot(x2 - x1, y2 - y1))
