@@ -89,17 +89,20 @@ def forward(problem: Problem, settings: Settings) -> tuple[Floats, Floats, Float
 
 
 def placed(problem: Problem, states: Floats) -> Floats:
-    """Return the landmarks (L, 2) where a survey, else their first sightings from `states` put them.
+    """Return the landmarks (L, 2) where a survey or, seen from `states`, most sightings put them.
 
-    `states` (K, B) must be right to a degree where nothing is surveyed.
+    `states` (K, B) must be right to a degree where nothing is surveyed. The median of both
+    coordinates: up to half of the sightings may be wrong.
     """
     known = _surveyed(problem)
     values = known.value.copy()
-    new = np.isnan(known.covariance[:, 0, 0])
-    for table in problem.tables:
-        if table.kind == Kind.RANGE_BEARING and table.second is not None:
-            rows = np.flatnonzero(new[table.second])[::-1]  # the first sighting has the last word
-            values[table.second[rows]] = _where(table, rows, states)
+    seen = [(t, t.second) for t in problem.tables if t.kind == Kind.RANGE_BEARING]
+    if not seen:
+        return values
+    rows = [_where(t, np.arange(t.first.size), states) for t, _ in seen]
+    where, which = np.concatenate(rows), np.concatenate([np.asarray(s) for _, s in seen])
+    for k in np.unique(which[np.isnan(known.covariance[which, 0, 0])]).tolist():
+        values[k] = np.median(where[which == k], axis=0)
     return values
 
 

@@ -53,7 +53,7 @@ def look_around(drive: Drive) -> Front | None:
     first, last = drive.wheels.stamps_ns[[0, -1]]
     # Noise makes every scan another one: a lidar that hangs sends its last one again, and would
     # have it that the robot stands.
-    fresh = np.append(True, np.any(np.diff(every.ranges, axis=0) != 0.0, axis=1))
+    fresh = np.append(True, np.any(every.ranges[1:] != every.ranges[:-1], axis=1))
     inside = np.flatnonzero(fresh & (every.stamps_ns >= first) & (every.stamps_ns <= last))
     if inside.size < 2:
         return None

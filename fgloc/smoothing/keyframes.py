@@ -32,10 +32,9 @@ def absolute_fixes(drive: Drive) -> tuple[PositionFixes | PoseFixes, ...]:
 def choose_keyframes(drive: Drive, period_s: float, scans: Stamps | None = None) -> Stamps:
     """Return (K,) keyframe stamps: wheel stamps about `period_s` apart and every fix stamp.
 
-    So do the `scans` that are used; wheel stamps less than half a period beside one are left out.
-
     A fix and a sighting get a keyframe of their own, so that nothing has to be interpolated to
-    them; so does a yaw reading of a sensor too slow to interpolate. O(N).
+    them; so does a yaw reading of a sensor too slow to interpolate, and so do the `scans` (N,) that
+    are used. Wheel stamps within half a period of a scan are left out. O(N).
     """
     stamps = drive.wheels.stamps_ns
     # 5 % slack keeps a jittering sensor of the same rate from alternating between one and two.

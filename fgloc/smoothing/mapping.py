@@ -214,10 +214,14 @@ def _with_matches(
     closed: Stamps,
     settings: Settings,
 ) -> Problem:
-    """Return the problem with scan matches: not between `strong` steps, nor `closed` closures."""
+    """Return the problem with scan matches: not between `strong` steps, nor `closed` closures.
+
+    Nor of scans without a segment: what they show may be a person and nothing else.
+    """
     chain, closures = front.chain, front.closures
-    steps = np.flatnonzero(chain.matched & ~strong)
-    loops = np.flatnonzero(~closed)
+    straight = np.bincount(scene.segments.scan, minlength=scene.at.size) > 0
+    steps = np.flatnonzero(chain.matched & ~strong & straight[:-1] & straight[1:])
+    loops = np.flatnonzero(~closed & straight[closures.first] & straight[closures.second])
     first = np.concatenate([steps, closures.first[loops]]).astype(np.int64)
     second = np.concatenate([steps + 1, closures.second[loops]]).astype(np.int64)
     if not first.size:

@@ -8,15 +8,18 @@ import numpy as np
 
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
+from fgloc.factors.tables import Kind
 from fgloc.smoothing.arrow import ArrowSolution
-from fgloc.smoothing.forward import forward
-from fgloc.smoothing.graduate import doubtful, second_look
+from fgloc.smoothing.forward import forward, placed
+from fgloc.smoothing.graduate import GIVEN_UP, MANY, doubtful, second_look
 from fgloc.smoothing.minimise import CalibrationPrior, Point, linear_system, minimise
 from fgloc.smoothing.network import step_of
 from fgloc.smoothing.problem import Problem
 from fgloc.smoothing.rounding import without_rounding_bias
 from fgloc.smoothing.settings import Settings
 from fgloc.smoothing.sweep import reach, sweep
+
+FALLS_NO_FURTHER = "the cost falls no further"
 
 
 @dataclass(frozen=True)
@@ -47,11 +50,14 @@ def optimise(problem: Problem, settings: Settings) -> Solution:
 
     First with plain quadratic costs (one basin), then with the robust losses from there; where
     the result is doubtful, again by graduation from every plain solution there is; then less the
-    bias of rounded encoder counts.
+    bias of rounded encoder counts. Landmarks are tried with the robust losses from dead reckoning
+    first: plain costs do not survive a fifth of the sightings wrong, and dead reckoning mostly is
+    good enough. Where it is not, many sightings are given up, and the drive is taken piece by piece
+    (`smoothing.forward`); the better one of both stays.
     Raises FglocError if the system is indeterminate even with the largest damping. Each
     iteration is O(N): one linearisation, one elimination.
     """
-    nominal = np.zeros(len(problem.parameters))
+    nominal, tried = np.zeros(len(problem.parameters)), 0
     states, u = problem.states, nominal
     marks, iterations = problem.landmarks, 0
     swept = (
@@ -61,7 +67,14 @@ def optimise(problem: Problem, settings: Settings) -> Solution:
     )
     if swept:
         states, u, iterations = sweep(problem, settings)
+    direct, settled = None, False
     if marks.size:
+        if settings.robust:
+            direct, tried, settled = minimise(
+                problem, settings, states, u, True, landmarks=placed(problem, states)
+            )
+            if settled and not doubtful(direct) and _given_up(direct) < MANY:
+                return finish(problem, settings, direct, tried, True, FALLS_NO_FURTHER)
         states, u, marks, iterations = forward(problem, settings)
     point, last, converged = minimise(problem, settings, states, u, False, landmarks=marks)
     iterations += last
@@ -84,11 +97,22 @@ def optimise(problem: Problem, settings: Settings) -> Solution:
                     problem, settings, found.states, found.u, True, landmarks=found.landmarks
                 )
                 iterations += last
-    stopped = "the cost falls no further"
+    if direct is not None:
+        iterations += tried
+        if direct.cost < point.cost:
+            point, last, converged = direct, tried, settled
+    stopped = FALLS_NO_FURTHER
     if not converged:
         reached = last >= settings.max_iterations
         stopped = "the iteration limit was reached" if reached else "no step lowers the cost"
     return finish(problem, settings, point, iterations, converged, stopped)
+
+
+def _given_up(point: Point) -> float:
+    """Return the share of the sightings of landmarks that the losses gave up; 0 without any."""
+    pairs = zip(point.tables, point.weights, strict=True)
+    weights = [w for table, w in pairs if table.kind == Kind.RANGE_BEARING]
+    return float(np.mean(np.concatenate(weights) < GIVEN_UP)) if weights else 0.0
 
 
 def finish(

@@ -153,3 +153,27 @@ def test_room_of_the_tests_is_driven_as_its_wheels_say() -> None:
     told = drive()
     moved = told.robot.base.displacements(told.wheels.angles, None)
     np.testing.assert_allclose(moved[0], [0.02, 0.0, 0.02], atol=1e-12)
+
+
+def test_the_walls_of_batch_are_in_the_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    numbers = tmp_path / "out.json"
+    line = ["smooth", "sim:seed-b-room?seed=1&duration=12", "--json", str(numbers)]
+    assert main(line) == 0
+    capsys.readouterr()
+    found = json.loads(numbers.read_text())["drives"][0]["methods"]["batch"]["map"]
+    assert found["marks"] is None
+    # The room has walls that are seen from everywhere, each some dozen times.
+    assert len(found["walls"]) >= 5
+    assert found["segments"]["associated"] == sum(w["sightings"] for w in found["walls"])
+    assert found["segments"]["associated"] > 0.8 * found["segments"]["seen"]
+    for wall in found["walls"]:
+        assert wall["sightings"] >= 3
+        assert 0.0 < wall["sigma_offset"] < 0.1
+        (x1, y1), (x2, y2) = wall["ends"]
+        assert wall["length"] == pytest.approx(np.hypot(x2 - x1, y2 - y1))
+        # Right end first, seen along the normal turned by +90°.
+        tangent = wall["normal"] + np.pi / 2
+        assert (x2 - x1) * np.cos(tangent) + (y2 - y1) * np.sin(tangent) > 0.0
+    assert max(w["length"] for w in found["walls"]) > 3.0
