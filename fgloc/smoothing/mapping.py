@@ -182,7 +182,7 @@ def map_of(problem: Problem, solution: Solution) -> Map | None:
         return None if marks is None else Map(marks=marks)
     covariance = solution.landmark_covariance
     walls = scene.walls(point.landmarks, covariance, point.states[:, :3], point.u)
-    unsure = walls.covariance[:, 0, 0] > UNSURE**2
+    unsure = (walls.covariance[:, 0, 0] > UNSURE**2) | hidden(walls)
     # One more at the end for segments of no wall, -1.
     place = np.append(np.where(unsure, -1, np.cumsum(~unsure) - 1), -1)
     wall = place[scene.wall]
