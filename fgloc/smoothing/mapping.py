@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fgloc.core.geometry import between, compose, inverse
+from fgloc.core.geometry import between, compose, inverse, rotate_covariance
 from fgloc.core.measurements import Floats, Stamps
 from fgloc.errors import FglocError
 from fgloc.factors.robust import PLAIN
@@ -25,6 +25,7 @@ from fgloc.lidar.association import (
     lidar_poses,
     single_noise,
 )
+from fgloc.lidar.surfaces import Mask
 from fgloc.lidar.walls import Map, Marks, Walls
 from fgloc.smoothing.forward import placed
 from fgloc.smoothing.front import Front
@@ -46,8 +47,8 @@ FEWEST = 3
 """A wall seen less often is none: a door that moved, a person."""
 UNSURE = np.radians(1.0)
 """A wall whose direction is not known to this sigma [rad] is not drawn in the map."""
-CROSSING = 0.3
-"""Two shared walls that cross at an angle whose sine is this large tell how two scans lie."""
+SURER = 1.5
+"""A match of two scans is dropped unless it is so many times surer than the walls they share."""
 WORST = 13.8
 """Squared normalised residual (99.9 % of two numbers) beyond which a sighting is given up."""
 ROUGH = 1e-4
@@ -111,7 +112,7 @@ def _solve_with_walls(
             iterations += count
             break
         now, landmarks = scene.with_walls(walls, wall)
-        strong, closed = _told_by_walls(scene, front, walls, wall)
+        strong, closed = _told_by_walls(scene, front, point, wall)
         graph = _with_matches(problem, front, scene, strong, closed, settings)
         graph = replace(
             graph,
@@ -210,8 +211,8 @@ def _with_matches(
     problem: Problem,
     front: Front,
     scene: Scene,
-    strong: Stamps,
-    closed: Stamps,
+    strong: Mask,
+    closed: Mask,
     settings: Settings,
 ) -> Problem:
     """Return the problem with scan matches: not between `strong` steps, nor `closed` closures.
@@ -263,21 +264,47 @@ def _associated(
     return walls.select(kept), wall
 
 
-def _told_by_walls(scene: Scene, front: Front, walls: Walls, wall: Stamps) -> tuple[Stamps, Stamps]:
-    """Return (N-1,), (C,): between which scans walls tell as much as their match does."""
-    seen: list[set[int]] = [set() for _ in range(scene.at.size)]
-    for scan, number in zip(scene.segments.scan.tolist(), wall.tolist(), strict=True):
-        if number >= 0:
-            seen[scan].add(number)
+def _told_by_walls(scene: Scene, front: Front, point: Point, wall: Stamps) -> tuple[Mask, Mask]:
+    """Return (N-1,), (C,): between which scans walls tell as much as their match does.
 
-    def told(i: int, j: int) -> bool:
-        shared = np.array(sorted(seen[i] & seen[j]), dtype=np.int64)
+    That is, in no direction is the displacement that shared walls tell less certain than SURER
+    times the match's sigma.
+    """
+    poses = lidar_poses(point.states[scene.at, :3], scene.mount(point.u))
+    information = _by_walls(scene, poses)
+    used = np.flatnonzero(wall >= 0)
+    order = used[np.argsort(scene.segments.scan[used], kind="stable")]
+    ends = np.searchsorted(scene.segments.scan[order], np.arange(scene.at.size + 1))
+
+    def told(i: int, j: int, match: Floats) -> bool:
+        one, other = order[ends[i] : ends[i + 1]], order[ends[j] : ends[j + 1]]
+        shared = np.intersect1d(wall[one], wall[other])
         if shared.size < 2:
             return False
-        normal = walls.normal[shared]
-        return bool(np.abs(np.sin(normal[:, None] - normal[None])).max() > CROSSING)
+        both = [information[seen[np.isin(wall[seen], shared)]].sum(axis=0) for seen in (one, other)]
+        try:
+            spread = np.linalg.inv(both[0]) + np.linalg.inv(both[1])
+        except np.linalg.LinAlgError:
+            return False
+        root = np.linalg.inv(np.linalg.cholesky(rotate_covariance(match, poses[i, 2])))
+        return bool(np.linalg.eigvalsh(root @ spread @ root.T)[-1] < SURER**2)
 
-    steps = [told(k, k + 1) for k in range(scene.at.size - 1)]
-    pairs = zip(front.closures.first.tolist(), front.closures.second.tolist(), strict=True)
-    loops = [told(i, j) for i, j in pairs]
+    steps = [told(k, k + 1, c) for k, c in enumerate(front.chain.covariance)]
+    closures = front.closures
+    pairs = zip(closures.first.tolist(), closures.second.tolist(), closures.covariance, strict=True)
+    loops = [told(i, j, c) for i, j, c in pairs]
     return np.array(steps, dtype=np.bool_), np.array(loops, dtype=np.bool_)
+
+
+def _by_walls(scene: Scene, poses: Floats) -> Floats:
+    """Return (M, 3, 3) what each segment tells of its lidar's pose: information in map axes."""
+    segments = scene.segments
+    heading = poses[segments.scan, 2]
+    c, s = np.cos(heading), np.sin(heading)
+    x = c * segments.middle[:, 0] - s * segments.middle[:, 1]
+    y = s * segments.middle[:, 0] + c * segments.middle[:, 1]
+    nx, ny = np.cos(heading + segments.normal), np.sin(heading + segments.normal)
+    rows = np.zeros((heading.size, 2, 3))
+    rows[:, 0, 2] = 1.0
+    rows[:, 1] = np.stack([nx, ny, ny * x - nx * y], axis=1)
+    return np.asarray(rows.swapaxes(1, 2) @ np.linalg.inv(segments.covariance) @ rows)
