@@ -13,15 +13,15 @@ from fgloc.core.measurements import (
     PoseFixes,
     PositionFixes,
     Scans,
-    Stamps,
     Yaw,
     YawRate,
 )
 from fgloc.core.preintegration import preintegrate, rounding_sigma, split_at
-from fgloc.core.robot import Robot
 from fgloc.core.start import trim_to_truth
 from fgloc.factors.robust import PLAIN, Loss
 from fgloc.factors.tables import FactorTable, Kind
+from fgloc.smoothing.build_landmarks import add_sightings, scene_of
+from fgloc.smoothing.builder import Builder
 from fgloc.smoothing.front import Front
 from fgloc.smoothing.initial import first_guess
 from fgloc.smoothing.keyframes import (
@@ -34,10 +34,8 @@ from fgloc.smoothing.keyframes import (
 )
 from fgloc.smoothing.problem import Problem, diagonal
 from fgloc.smoothing.remarks import remarks
-from fgloc.smoothing.scene import Scene
 from fgloc.smoothing.sensors import (
     FREE_HEADING,
-    Columns,
     bias_sigma,
     camera_parameters,
     camera_sigma,
@@ -50,61 +48,7 @@ from fgloc.smoothing.sensors import (
 from fgloc.smoothing.settings import Settings
 
 
-class _Builder(Columns):
-    """Collects calibration blocks, state columns and tables while a problem is built."""
-
-    def __init__(self, keyframes_ns: Stamps, robot: Robot, rounding: Floats) -> None:
-        super().__init__(robot)
-        self.keyframes_ns = keyframes_ns
-        # (3,) sigma of a keyframe's pose, as the counts tell it: x, y, heading in body axes.
-        self.rounding = rounding
-        self.tables: list[FactorTable] = []
-        self.counts: dict[str, tuple[int, int]] = {}
-        self.zeros: list[tuple[int, float]] = []
-        self.marks: dict[int, int] = {}
-
-    def zero(self, sensor: str, first: float, sigma: float, walk: Floats) -> int:
-        """Return a new state column for a drifting zero; `walk` (K-1,) are its step sigmas."""
-        column = self.slot()
-        self.zeros.append((column, first))
-        k = walk.size
-        empty = slice(0, 0)
-        self.tables.append(
-            FactorTable(
-                Kind.ZERO_WALK,
-                sensor,
-                np.arange(k, dtype=np.int64),
-                np.zeros((k, 1)),
-                diagonal(walk[:, None]),
-                empty,
-                slot=column,
-            )
-        )
-        self.tables.append(
-            FactorTable(
-                Kind.ZERO_PRIOR,
-                sensor,
-                np.zeros(1, dtype=np.int64),
-                np.array([[first]]),
-                diagonal(np.array([[sigma]])),
-                empty,
-                slot=column,
-            )
-        )
-        return column
-
-    def mark_numbers(self, identities: Stamps) -> Stamps:
-        """Return the (N,) places of landmarks in the problem, given what the sensors call them."""
-        for name in np.unique(identities).tolist():
-            self.marks.setdefault(name, len(self.marks))
-        return np.array([self.marks[name] for name in identities.tolist()], dtype=np.int64)
-
-    def seconds(self) -> Floats:
-        """Return (K-1,) durations between keyframes [s]."""
-        return np.diff(self.keyframes_ns) * 1e-9
-
-
-def _add_yaw(b: _Builder, sensor: Yaw, start: float, loss: Loss) -> None:
+def _add_yaw(b: Builder, sensor: Yaw, start: float, loss: Loss) -> None:
     """Add one factor a keyframe with the sensor's zero as a drifting or constant variable."""
     reading, valid = yaw_at(sensor, b.keyframes_ns)
     first = once_each(sensor, b.keyframes_ns, valid)
@@ -137,7 +81,7 @@ def _add_yaw(b: _Builder, sensor: Yaw, start: float, loss: Loss) -> None:
     )
 
 
-def _add_yaw_rate(b: _Builder, sensor: YawRate, loss: Loss) -> None:
+def _add_yaw_rate(b: Builder, sensor: YawRate, loss: Loss) -> None:
     """Add one factor a keyframe interval; the gyro's bias is a drifting or constant variable."""
     angle, valid = turned_angle(sensor, b.keyframes_ns)
     first = np.flatnonzero(valid)
@@ -163,7 +107,7 @@ def _add_yaw_rate(b: _Builder, sensor: YawRate, loss: Loss) -> None:
     )
 
 
-def _add_camera(b: _Builder, sensor: CameraPoses, predicted: Floats, loss: Loss) -> None:
+def _add_camera(b: Builder, sensor: CameraPoses, predicted: Floats, loss: Loss) -> None:
     """Add one relative-motion factor a keyframe interval, with mounting and scale as variables.
 
     `predicted` (K-1, 3) are the wheels' displacements.
@@ -188,7 +132,7 @@ def _add_camera(b: _Builder, sensor: CameraPoses, predicted: Floats, loss: Loss)
     )
 
 
-def _add_fixes(b: _Builder, sensor: PositionFixes | PoseFixes, loss: Loss) -> None:
+def _add_fixes(b: Builder, sensor: PositionFixes | PoseFixes, loss: Loss) -> None:
     """Add one factor a fix at its own keyframe, with the mounting as a variable where uncertain."""
     pose = isinstance(sensor, PoseFixes)
     values = sensor.poses if isinstance(sensor, PoseFixes) else sensor.positions
@@ -213,64 +157,7 @@ def _add_fixes(b: _Builder, sensor: PositionFixes | PoseFixes, loss: Loss) -> No
     )
 
 
-def _add_sightings(b: _Builder, sensor: LandmarkSightings, loss: Loss) -> None:
-    """Add one factor a sighting, a landmark for each identity, and what a survey says of it."""
-    at = np.minimum(np.searchsorted(b.keyframes_ns, sensor.stamps_ns), b.keyframes_ns.size - 1)
-    valid = (b.keyframes_ns[at] == sensor.stamps_ns) & (sensor.landmark >= 0)
-    b.counts[sensor.sensor] = (int(valid.sum()), int((~valid).sum()))
-    if not valid.any():
-        return
-    index = b.mark_numbers(sensor.landmark[valid])
-    n = index.size
-    mount = np.broadcast_to(np.array(sensor.mount), (n, 3))
-    seen = np.stack([sensor.range_m[valid], sensor.bearing[valid]], axis=1)
-    b.tables.append(
-        FactorTable(
-            Kind.RANGE_BEARING,
-            sensor.sensor,
-            at[valid].astype(np.int64),
-            np.concatenate([seen, mount], axis=1),
-            diagonal(np.tile([sensor.range_sigma, sensor.bearing_sigma], (n, 1))),
-            b.mount(sensor.sensor, sensor.mount, sensor.mount_sigma),
-            loss,
-            second=index,
-        )
-    )
-    survey = sensor.survey
-    if survey is None:
-        return
-    known = np.isin(survey.landmark, sensor.landmark[valid])
-    if known.any():
-        b.tables.append(
-            FactorTable(
-                Kind.LANDMARK_PRIOR,
-                sensor.sensor,
-                np.zeros(int(known.sum()), np.int64),
-                survey.positions[known],
-                diagonal(survey.sigma[known]),
-                slice(0, 0),
-                second=b.mark_numbers(survey.landmark[known]),
-            )
-        )
-
-
-def _scene(b: _Builder, front: Front) -> Scene:
-    """Return the lidar's part of the graph, without walls yet."""
-    scans = front.scans
-    b.counts[scans.sensor] = (scans.stamps_ns.size, front.left_out)
-    return Scene(
-        scans=scans,
-        numbers=front.numbers,
-        segments=front.segments,
-        at=np.searchsorted(b.keyframes_ns, scans.stamps_ns).astype(np.int64),
-        block=b.mount(scans.sensor, scans.mount, scans.mount_sigma),
-        first=len(b.marks),
-        wall=np.full(front.segments.scan.size, -1, np.int64),
-        anchors=np.zeros((0, 2)),
-    )
-
-
-def _add_start(b: _Builder, drive: Drive, start: Floats, sigma: Floats) -> None:
+def _add_start(b: Builder, drive: Drive, start: Floats, sigma: Floats) -> None:
     """Tie the first keyframe to where the drive starts, through the reference's mounting."""
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
     block = slice(0, 0)
@@ -303,7 +190,7 @@ def build_problem(drive: Drive, settings: Settings, front: Front | None = None) 
     )
     split = split_at(drive.wheels, keyframes)
     rounding = rounding_sigma(drive.robot, drive.wheels.resolution)
-    builder = _Builder(keyframes, drive.robot, rounding)
+    builder = Builder(keyframes, drive.robot, rounding)
     wheels = preintegrate(split, drive.robot)
     guess = first_guess(drive, keyframes, wheels)
     robust = settings.robust
@@ -318,8 +205,8 @@ def build_problem(drive: Drive, settings: Settings, front: Front | None = None) 
     for fixes in absolute_fixes(drive):
         _add_fixes(builder, fixes, settings.fix_loss if robust else PLAIN)
     for sightings in drive.each(LandmarkSightings):
-        _add_sightings(builder, sightings, settings.landmark_loss if robust else PLAIN)
-    scene = None if front is None else _scene(builder, front)
+        add_sightings(builder, sightings, settings.landmark_loss if robust else PLAIN)
+    scene = None if front is None else scene_of(builder, front)
     for lidar in drive.each(Scans):
         # What `look_around` made nothing of: a single scan, a second lidar.
         builder.counts.setdefault(lidar.sensor, (0, lidar.stamps_ns.size))
