@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,8 @@ FIRST_DAMPING = 1e-4
 LARGEST_DAMPING = 1e8
 ROUNDING = 1e-9
 """A change of the cost by less is rounding: the minimum is reached."""
+SHORTER = (1.0, 0.3, 0.1, 0.03)
+"""Parts of a step that are tried one after the other in a graph that is no chain."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,16 @@ def retract(point: Point, step: ArrowSolution, _: FactorTable) -> Floats:
     moved = point.states + step.step
     moved[:, :3] = compose(point.states[:, :3], step.step[:, :3])
     return moved
+
+
+def _shortened(step: ArrowSolution, part: float) -> ArrowSolution:
+    """Return a part of a step."""
+    return replace(
+        step,
+        step=part * step.step,
+        calibration_step=part * step.calibration_step,
+        landmark_step=part * step.landmark_step,
+    )
 
 
 def roll_out(point: Point, step: ArrowSolution, wheels: FactorTable) -> Floats:
@@ -205,18 +217,27 @@ def minimise(
     whitening = wheels.sqrt_information
     point = _evaluate(prior, states, u, marks, tables, wheels)
     damping = 0.0
+    # A network's poses hang together so stiffly that damping hardly lets them move: shorten.
+    parts = SHORTER if any(t.links for t in tables) else (1.0,)
     for iteration in range(1, settings.max_iterations + 1):
         step = step_of(linear_system(prior, point), damping, solver=settings.solver)
         trial = None
-        if step is not None and np.abs(step.calibration_step).max(initial=0.0) < 2.0:
-            at = point.u + step.calibration_step
+        for part in parts:
+            if step is None or part * np.abs(step.calibration_step).max(initial=0.0) >= 2.0:
+                continue
+            tried = _shortened(step, part) if part < 1.0 else step
+            at = point.u + tried.calibration_step
             # Of the states only slips matter here, and these are simply added up.
-            table = wheel_table(at, point.states + step.step)
-            marks = point.landmarks + step.landmark_step
+            table = wheel_table(at, point.states + tried.step)
+            marks = point.landmarks + tried.landmark_step
             for move in (roll_out, retract):
-                trial = _evaluate(prior, move(point, step, table), at, marks, tables, table)
+                trial = _evaluate(prior, move(point, tried, table), at, marks, tables, table)
                 if trial.cost < point.cost:
                     break
+            if trial is not None and (
+                trial.cost < point.cost or trial.cost - point.cost < ROUNDING
+            ):
+                break
         # A damped step may be small for that alone.
         if damping == 0.0 and trial is not None and 0.0 <= trial.cost - point.cost < ROUNDING:
             return point, iteration, True
