@@ -49,6 +49,10 @@ UNSURE = np.radians(1.0)
 """A wall whose direction is not known to this sigma [rad] is not drawn in the map."""
 SURER = 1.5
 """A match of two scans is dropped unless it is so many times surer than the walls they share."""
+BESIDE = 3
+"""Walls seen so many scans before or after count as seen around a place."""
+CROSSING = 0.3
+"""Sine of the angle at which two walls cross that tie two places together."""
 WORST = 13.8
 """Squared normalised residual (99.9 % of two numbers) beyond which a sighting is given up."""
 ROUGH = 1e-4
@@ -112,7 +116,7 @@ def _solve_with_walls(
             iterations += count
             break
         now, landmarks = scene.with_walls(walls, wall)
-        strong, closed = _told_by_walls(scene, front, point, wall)
+        strong, closed = _told_by_walls(scene, front, point, walls, wall)
         graph = _with_matches(problem, front, scene, strong, closed, settings)
         graph = replace(
             graph,
@@ -264,11 +268,14 @@ def _associated(
     return walls.select(kept), wall
 
 
-def _told_by_walls(scene: Scene, front: Front, point: Point, wall: Stamps) -> tuple[Mask, Mask]:
-    """Return (N-1,), (C,): between which scans walls tell as much as their match does.
+def _told_by_walls(
+    scene: Scene, front: Front, point: Point, walls: Walls, wall: Stamps
+) -> tuple[Mask, Mask]:
+    """Return (N-1,), (C,): which matches of neighbours, and which closures, walls make needless.
 
-    That is, in no direction is the displacement that shared walls tell less certain than SURER
-    times the match's sigma.
+    A match, where in no direction the displacement that shared walls tell is less certain than
+    SURER times the match's sigma. A closure, where two walls that cross are seen around both
+    places: small maps laid on each other are bent, and walls tell better how much.
     """
     poses = lidar_poses(point.states[scene.at, :3], scene.mount(point.u))
     information = _by_walls(scene, poses)
@@ -290,9 +297,19 @@ def _told_by_walls(scene: Scene, front: Front, point: Point, wall: Stamps) -> tu
         return bool(np.linalg.eigvalsh(root @ spread @ root.T)[-1] < SURER**2)
 
     steps = [told(k, k + 1, c) for k, c in enumerate(front.chain.covariance)]
-    closures = front.closures
-    pairs = zip(closures.first.tolist(), closures.second.tolist(), closures.covariance, strict=True)
-    loops = [told(i, j, c) for i, j, c in pairs]
+
+    def around(i: int) -> Stamps:
+        low, high = max(i - BESIDE, 0), min(i + BESIDE + 1, scene.at.size)
+        return np.unique(wall[order[ends[low] : ends[high]]])
+
+    def tied(i: int, j: int) -> bool:
+        shared = walls.normal[np.intersect1d(around(i), around(j))]
+        if shared.size < 2:
+            return False
+        return bool(np.abs(np.sin(shared[:, None] - shared[None])).max() > CROSSING)
+
+    pairs = zip(front.closures.first.tolist(), front.closures.second.tolist(), strict=True)
+    loops = [tied(i, j) for i, j in pairs]
     return np.array(steps, dtype=np.bool_), np.array(loops, dtype=np.bool_)
 
 
