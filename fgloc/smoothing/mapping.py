@@ -49,6 +49,8 @@ UNSURE = np.radians(1.0)
 """A wall whose direction is not known to this sigma [rad] is not drawn in the map."""
 SURER = 1.5
 """A match of two scans is dropped unless it is so many times surer than the walls they share."""
+BENT = 2.0
+"""Closures are believed to so many of their sigmas: those of one place are bent alike."""
 BESIDE = 3
 """Walls seen so many scans before or after count as seen around a place."""
 CROSSING = 0.3
@@ -232,7 +234,8 @@ def _with_matches(
     if not first.size:
         return problem
     relative = np.concatenate([chain.relative[steps], closures.relative[loops]])
-    covariance = np.concatenate([chain.covariance[steps], closures.covariance[loops]])
+    bent = BENT**2 * closures.covariance[loops]
+    covariance = np.concatenate([chain.covariance[steps], bent])
     mount = np.broadcast_to(np.array(scene.scans.mount), (first.size, 3))
     table = FactorTable(
         Kind.SCAN_MATCH,
