@@ -17,7 +17,7 @@ help:
 	@echo "make demo     simulate a drive, run six methods on it, draw figures"
 	@echo "make test     run the tests"
 	@echo "make lint     check style and types"
-	@echo "make bench    time both engines and Model 3 beside other libraries' (a quarter of an hour)"
+	@echo "make bench    time both engines, filters and line extraction (a quarter of an hour)"
 	@echo "make install  only create .venv and install into it"
 	@echo "make clean    remove .venv, caches and the demo's results"
 
@@ -37,6 +37,8 @@ bench: $(INSTALLED)
 	$(BIN)/python -m fgloc.experiments.bench_batch
 	$(BIN)/python -m fgloc.experiments.bench_online
 	$(BIN)/python -m fgloc.experiments.bench_filters
+	$(BIN)/python -m fgloc.experiments.bench_lines
+	$(BIN)/python -m fgloc.experiments.bench_ekf_slam
 
 install: $(INSTALLED)
 
