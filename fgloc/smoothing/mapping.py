@@ -319,12 +319,10 @@ def _told_by_walls(
 def _by_walls(scene: Scene, poses: Floats) -> Floats:
     """Return (M, 3, 3) what each segment tells of its lidar's pose: information in map axes."""
     segments = scene.segments
-    heading = poses[segments.scan, 2]
-    c, s = np.cos(heading), np.sin(heading)
-    x = c * segments.middle[:, 0] - s * segments.middle[:, 1]
-    y = s * segments.middle[:, 0] + c * segments.middle[:, 1]
-    nx, ny = np.cos(heading + segments.normal), np.sin(heading + segments.normal)
-    rows = np.zeros((heading.size, 2, 3))
+    turned = poses[segments.scan] * (0.0, 0.0, 1.0)
+    x, y, normal = compose(turned, np.column_stack([segments.middle, segments.normal])).T
+    nx, ny = np.cos(normal), np.sin(normal)
+    rows = np.zeros((normal.size, 2, 3))
     rows[:, 0, 2] = 1.0
     rows[:, 1] = np.stack([nx, ny, ny * x - nx * y], axis=1)
     return np.asarray(rows.swapaxes(1, 2) @ np.linalg.inv(segments.covariance) @ rows)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fgloc.core.geometry import wrap
+from fgloc.core.geometry import compose, wrap
 from fgloc.core.measurements import Floats, Scans, Stamps
 from fgloc.factors.robust import Loss
 from fgloc.factors.tables import FactorTable, Kind
@@ -81,14 +81,7 @@ class Scene:
         used = np.flatnonzero(self.wall >= 0)
         seen, of = self.segments.select(used), self.wall[used]
         lidar = lidar_poses(poses[self.at[seen.scan]], self.mount(u))
-        c, s = np.cos(lidar[:, 2]), np.sin(lidar[:, 2])
-        there = lidar[:, :2] + np.stack(
-            [
-                c * seen.middle[:, 0] - s * seen.middle[:, 1],
-                s * seen.middle[:, 0] + c * seen.middle[:, 1],
-            ],
-            axis=1,
-        )
+        there = compose(lidar, np.column_stack([seen.middle, seen.normal]))[:, :2]
         tangent = np.stack([-np.sin(normal), np.cos(normal)], axis=1)
         along = np.einsum("mk,mk->m", there - self.anchors[of], tangent[of])
         reach = np.stack([np.full(count, np.inf), np.full(count, -np.inf)], axis=1)
