@@ -9,7 +9,10 @@ Along its heading u = (cos d, sin d) and across it n = (-sin d, cos d):
 - passive: n·c = 0 only, no encoder;
 - linear:  no geometry at all: each radian moves the base by (x, y, steer) = (forward, left,
            turn), one column of the full linear model, displacement = J·wheel angles (Okawara et
-           al.). Such wheels stand alone, but for passive ones that only carry side slip noise.
+           al.). Such wheels stand alone, but for passive ones that only carry side slip noise;
+- scale:   no wheel, at most one: what all wheels do together differs from what they say by the
+           kind of motion. The turn is multiplied by 1 + (x - 1)·s with s = (R w)² / ((R w)² + v²),
+           1 in a spin and fading as the path straightens (R = radius), the way to the left by y.
 
 The base's twist is the weighted least-squares solution of all rows. Increments obey the same
 equations with angles for rates: what comes out is the body displacement as a twist times time,
@@ -25,13 +28,15 @@ from typing import Literal
 
 import numpy as np
 
-from fgloc.core.compiled import compiled
+from fgloc.core.kinematics_kernels import all_displacements
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
 
-WheelKind = Literal["fixed", "roller", "passive", "linear"]
-KINDS: tuple[WheelKind, ...] = ("fixed", "roller", "passive", "linear")
-FIXED, ROLLER, PASSIVE, LINEAR = range(4)
+WheelKind = Literal["fixed", "roller", "passive", "linear", "scale"]
+KINDS: tuple[WheelKind, ...] = ("fixed", "roller", "passive", "linear", "scale")
+FIXED, ROLLER, PASSIVE, LINEAR, SCALE = range(5)
+UNDRIVEN = ("passive", "scale")
+"""Kinds without an encoder."""
 X, Y, STEER, RADIUS = range(4)
 """Columns of a wheel's primitive quantities."""
 
@@ -43,14 +48,17 @@ class Wheel:
     name: str
     """Identity, e.g. "fl"; encoders refer to it."""
     x: float
-    """Contact point, forward of the base origin [m]; linear: way forward a radian [m]."""
+    """Contact point, forward of the base origin [m]; linear: way forward a radian [m]; scale:
+    rotation scale in a spin [1]."""
     y: float
-    """Contact point, left of the base origin [m]; linear: way to the left a radian [m]."""
+    """Contact point, left of the base origin [m]; linear: way to the left a radian [m]; scale:
+    scale of the way to the left [1]."""
     radius: float = 1.0
-    """Rolling radius [m]; has no meaning for a passive wheel, linear: only scales the noise."""
+    """Rolling radius [m]; has no meaning for a passive wheel, linear: only scales the noise; scale:
+    path radius [m] at which half of the rotation scale acts."""
     kind: WheelKind = "fixed"
     """fixed: rolls, no side slip; roller: one row along the roller axis; passive: no side slip;
-    linear: moves the base in proportion to its angle."""
+    linear: moves the base in proportion to its angle; scale: how motion scales what they say."""
     steer: float = 0.0
     """Constant heading of the wheel [rad], to which a measured steering angle is added; linear:
     turn of the base a radian of the wheel [1]."""
@@ -147,6 +155,8 @@ class WheeledBase:
             if w.kind != "passive" and not w.radius > 0.0:
                 raise FglocError(f"wheel {w.name}: radius must be positive, got {w.radius}")
         kinds = {w.kind for w in self.wheels}
+        if sum(w.kind == "scale" for w in self.wheels) > 1:
+            raise FglocError(f"{self.kind}: there can be one wheel of kind scale")
         if "linear" in kinds and kinds & {"fixed", "roller"}:
             raise FglocError(f"{self.kind}: linear wheels cannot be mixed with others")
         known = {p.name for p in self.parameters}
@@ -164,7 +174,7 @@ class WheeledBase:
     @property
     def driven(self) -> tuple[int, ...]:
         """Return the indices of the wheels that have an encoder."""
-        return tuple(i for i, w in enumerate(self.wheels) if w.kind != "passive")
+        return tuple(i for i, w in enumerate(self.wheels) if w.kind not in UNDRIVEN)
 
     @property
     def driven_names(self) -> tuple[str, ...]:
@@ -248,7 +258,7 @@ class WheeledBase:
         kinds, rollers = self.codes()
         out = np.empty((angles.shape[0], 3))
         weights = np.array([self.rolling_weight, self.lateral_weight])
-        ok = _displacements(
+        ok = all_displacements(
             np.ascontiguousarray(angles),
             np.ascontiguousarray(steering),
             self.primitives(values),
@@ -260,178 +270,3 @@ class WheeledBase:
         if not ok:
             raise FglocError(f"{self.kind}: these wheels do not determine the motion of the base")
         return out
-
-
-@compiled
-def solve3(m: Floats, inverse: Floats) -> bool:
-    """Write the inverse of the symmetric 3×3 `m` into `inverse`; False if it is singular."""
-    c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]
-    c01 = m[1, 2] * m[2, 0] - m[1, 0] * m[2, 2]
-    c02 = m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0]
-    det = m[0, 0] * c00 + m[0, 1] * c01 + m[0, 2] * c02
-    if not abs(det) > 1e-12 * (abs(m[0, 0] * m[1, 1] * m[2, 2]) + 1e-300):
-        return False
-    inverse[0, 0] = c00 / det
-    inverse[0, 1] = (m[0, 2] * m[2, 1] - m[0, 1] * m[2, 2]) / det
-    inverse[0, 2] = (m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]) / det
-    inverse[1, 0] = c01 / det
-    inverse[1, 1] = (m[0, 0] * m[2, 2] - m[0, 2] * m[2, 0]) / det
-    inverse[1, 2] = (m[0, 2] * m[1, 0] - m[0, 0] * m[1, 2]) / det
-    inverse[2, 0] = c02 / det
-    inverse[2, 1] = (m[0, 1] * m[2, 0] - m[0, 0] * m[2, 1]) / det
-    inverse[2, 2] = (m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]) / det
-    return True
-
-
-@compiled
-def _linear_displacement(
-    angles: Floats,
-    primitives: Floats,
-    kinds: Floats,
-    rows: Floats,
-    xi: Floats,
-    gain: Floats,
-    jacobian: Floats,
-) -> int:
-    """Do `body_displacement` for linear wheels: the sum of the wheels' columns times their angles.
-
-    A row's right side is the way its wheel rolls, as for any driven wheel, so that noise grows
-    with it; a passive wheel's row says how side slip moves the base.
-    """
-    xi[0], xi[1], xi[2] = 0.0, 0.0, 0.0
-    jacobian[:] = 0.0
-    driven = 0
-    for i in range(kinds.size):
-        passive = kinds[i] == 2
-        rows[i, 5], rows[i, 6] = i, 1.0 if passive else 0.0
-        rows[i, 3] = 0.0
-        gain[0, i], gain[1, i], gain[2, i] = 0.0, 1.0, 0.0
-        if not passive:
-            rows[i, 3] = primitives[i, 3] * angles[driven]
-            for a in range(3):
-                xi[a] += primitives[i, a] * angles[driven]
-                gain[a, i] = primitives[i, a] / primitives[i, 3]
-                jacobian[a, 4 * i + a] = angles[driven]
-            driven += 1
-    return int(kinds.size)
-
-
-@compiled
-def body_displacement(
-    angles: Floats,
-    steering: Floats,
-    primitives: Floats,
-    kinds: Floats,
-    rollers: Floats,
-    weights: Floats,
-    rows: Floats,
-    xi: Floats,
-    gain: Floats,
-    jacobian: Floats,
-    with_jacobian: bool,
-) -> int:
-    """Solve one interval; return the number of rows, or 0 if the base is not determined.
-
-    Fills `rows` (2W, 8: a_x a_y a_w, right side, weight, wheel, is-lateral, direction), the
-    displacement `xi` (3,), the gain d xi / d right side in `gain` (3, 2W) and, on request,
-    `jacobian` (3, 4W) = d xi / d primitives. With N = AᵀWA, differentiating N xi = AᵀW b gives
-    d xi = N⁻¹ [dAᵀ W (b - A xi) + AᵀW (db - dA xi)].
-    """
-    for i in range(kinds.size):
-        if kinds[i] == 3:
-            return _linear_displacement(angles, primitives, kinds, rows, xi, gain, jacobian)
-    n = 0
-    normal = np.zeros((3, 3))
-    right = np.zeros(3)
-    driven = 0
-    for i in range(kinds.size):
-        x, y, steer, radius = primitives[i, 0], primitives[i, 1], primitives[i, 2], primitives[i, 3]
-        kind = int(kinds[i])
-        turn = 0.0
-        if kind != 2:
-            steer += steering[driven]
-            turn = angles[driven]
-            driven += 1
-            direction = steer + rollers[i] if kind == 1 else steer
-            c, s = np.cos(direction), np.sin(direction)
-            rows[n, 0], rows[n, 1], rows[n, 2] = c, s, x * s - y * c
-            rows[n, 3] = radius * turn * (np.cos(rollers[i]) if kind == 1 else 1.0)
-            rows[n, 4], rows[n, 5], rows[n, 6], rows[n, 7] = weights[0], i, 0.0, direction
-            n += 1
-        if kind != 1:
-            c, s = np.cos(steer), np.sin(steer)
-            rows[n, 0], rows[n, 1], rows[n, 2] = -s, c, x * c + y * s
-            rows[n, 3] = 0.0
-            rows[n, 4], rows[n, 5], rows[n, 6], rows[n, 7] = weights[1], i, 1.0, steer
-            n += 1
-    for k in range(n):
-        w = rows[k, 4]
-        for a in range(3):
-            right[a] += w * rows[k, a] * rows[k, 3]
-            for b in range(3):
-                normal[a, b] += w * rows[k, a] * rows[k, b]
-    inverse = np.empty((3, 3))
-    if not solve3(normal, inverse):
-        return 0
-    for a in range(3):
-        xi[a] = inverse[a, 0] * right[0] + inverse[a, 1] * right[1] + inverse[a, 2] * right[2]
-    for k in range(n):
-        for a in range(3):
-            gain[a, k] = rows[k, 4] * (
-                inverse[a, 0] * rows[k, 0] + inverse[a, 1] * rows[k, 1] + inverse[a, 2] * rows[k, 2]
-            )
-    if not with_jacobian:
-        return n
-    jacobian[:] = 0.0
-    for k in range(n):
-        i = int(rows[k, 5])
-        w = rows[k, 4]
-        residual = rows[k, 3] - (rows[k, 0] * xi[0] + rows[k, 1] * xi[1] + rows[k, 2] * xi[2])
-        ax, ay = rows[k, 0], rows[k, 1]
-        # The row is (ax, ay, x·ay - y·ax); turning it by the steering angle swaps ax, ay.
-        dsx, dsy = -ay, ax
-        x, y = primitives[i, 0], primitives[i, 1]
-        dsw = x * dsy - y * dsx
-        for a in range(3):
-            jacobian[a, 4 * i] += inverse[a, 2] * w * ay * residual - gain[a, k] * ay * xi[2]
-            jacobian[a, 4 * i + 1] += -inverse[a, 2] * w * ax * residual + gain[a, k] * ax * xi[2]
-            jacobian[a, 4 * i + 2] += (
-                (inverse[a, 0] * dsx + inverse[a, 1] * dsy + inverse[a, 2] * dsw) * w * residual
-            ) - gain[a, k] * (dsx * xi[0] + dsy * xi[1] + dsw * xi[2])
-            if rows[k, 6] == 0.0:
-                jacobian[a, 4 * i + 3] += gain[a, k] * rows[k, 3] / primitives[i, 3]
-    return n
-
-
-@compiled
-def _displacements(
-    angles: Floats,
-    steering: Floats,
-    primitives: Floats,
-    kinds: Floats,
-    rollers: Floats,
-    weights: Floats,
-    out: Floats,
-) -> bool:
-    """Fill `out` (N, 3) with the body displacement of every interval; False if undetermined."""
-    w = kinds.size
-    rows = np.empty((2 * w, 8))
-    gain = np.empty((3, 2 * w))
-    unused = np.empty((3, 4 * w))
-    for k in range(angles.shape[0]):
-        n = body_displacement(
-            angles[k],
-            steering[k],
-            primitives,
-            kinds,
-            rollers,
-            weights,
-            rows,
-            out[k],
-            gain,
-            unused,
-            False,
-        )
-        if n == 0:
-            return False
-    return True

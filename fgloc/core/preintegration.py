@@ -13,7 +13,8 @@ import numpy as np
 
 from fgloc.core.compiled import compiled
 from fgloc.core.geometry import exp_jacobian_scalar
-from fgloc.core.kinematics import WheeledBase, body_displacement
+from fgloc.core.kinematics import WheeledBase
+from fgloc.core.kinematics_kernels import body_displacement
 from fgloc.core.measurements import Floats, Stamps, WheelIncrements
 from fgloc.core.robot import Robot, WheelNoise
 from fgloc.errors import FglocError

@@ -6,7 +6,7 @@ import numpy as np
 
 from fgloc.core.compiled import compiled
 from fgloc.core.geometry import wrap_scalar
-from fgloc.core.kinematics import solve3
+from fgloc.core.kinematics_kernels import solve3
 from fgloc.core.measurements import Floats
 from fgloc.lidar.beams import FLATTEST, Beams, Rules
 from fgloc.lidar.fitting import (

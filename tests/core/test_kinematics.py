@@ -15,11 +15,11 @@ from fgloc.core.kinematics import (
     Wheel,
     WheeledBase,
     X,
-    body_displacement,
     prior_correlation,
-    solve3,
 )
+from fgloc.core.kinematics_kernels import body_displacement, solve3
 from fgloc.core.measurements import Floats
+from fgloc.core.motion_models import lateral_scale, rotation_scale
 from fgloc.errors import FglocError
 
 ORDER = ("fl", "fr", "rl", "rr")
@@ -53,7 +53,18 @@ LINEAR = {
     "full-linear-omni": bases.full_linear(BASES["omni3"]),
     "odometry": bases.body_odometry(),
 }
-every_base = pytest.mark.parametrize("base", (BASES | LINEAR).values(), ids=BASES | LINEAR)
+SCALED = {
+    f"{name} scaled": lateral_scale(rotation_scale(base)).with_values(
+        {"rotation_scale": 1.3, "lateral_scale": 0.9}
+    )
+    for name, base in {
+        "skid-steer": BASES["skid-steer"],
+        "4wis4wid": BASES["4wis4wid"],
+        "full-linear-omni": LINEAR["full-linear-omni"],
+    }.items()
+}
+ALL = BASES | LINEAR | SCALED
+every_base = pytest.mark.parametrize("base", ALL.values(), ids=ALL)
 every_geometry = pytest.mark.parametrize("base", BASES.values(), ids=BASES)
 
 
