@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from fgloc.config import apply_robot
 from fgloc.core.drive import Drive
 from fgloc.core.encoder_selection import select_encoders
 from fgloc.core.evaluation import evaluate
@@ -27,6 +26,7 @@ from fgloc.report.outcomes import (
     Settings,
     calibrated_mount,
 )
+from fgloc.robot_file import apply_robot_file
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def compare(
     topics = None if topics_file is None else load_topics(topics_file)
     for name in names:
         drive = load_drive(name, data, topics)
-        loaded.append(_prepared(drive, robot_file, encoder_selection, fixes, seed))
+        loaded.append(prepared(drive, robot_file, encoder_selection, fixes, seed))
         if check is not None:
             check(loaded[-1])
         if progress is not None:
@@ -191,7 +191,7 @@ def _warm_up(estimators: Sequence[Estimator], drive: Drive) -> None:
             estimator.estimate(replace(trimmed, wheels=short))
 
 
-def _prepared(
+def prepared(
     drive: Drive,
     robot_file: str | Path | None,
     encoder_selection: bool,
@@ -200,7 +200,7 @@ def _prepared(
 ) -> Drive:
     """Return the drive with the robot file's description, encoders selected, and with fixes."""
     if robot_file is not None:
-        drive = replace(drive, robot=apply_robot(drive.robot, robot_file))
+        drive = apply_robot_file(drive, robot_file)
     if encoder_selection:
         drive = select_encoders(drive)
     if fixes is not None:

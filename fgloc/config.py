@@ -3,6 +3,7 @@
 [robot]
 name = "Jaguar, new tyres"
 kind = "full-linear"                # another model of the same wheels; parameters are then its own
+models = ["rotation-scale"]         # what motion does beyond it (fgloc.core.motion_models)
 
 [parameters."effective_track"]      # one table a parameter; both keys may be left out
 value = 0.72                        # m, rad, s or 1, as `fgloc compare` prints it
@@ -10,6 +11,10 @@ sigma = 0.02                        # prior standard deviation; 0 keeps the valu
 
 [noise]
 rolling = 0.02                      # the fields of WheelNoise, in their units
+
+[sensors."lidar"]                   # where a sensor or the reference sits, if a drive has it
+x = -0.13                           # x, y [m], yaw [rad], and x_sigma, y_sigma, yaw_sigma
+time_offset = 0.0                   # by how much its stamps are early [s]
 """
 
 from __future__ import annotations
@@ -25,6 +30,7 @@ from fgloc.atomic import write_text
 from fgloc.core.bases import full_linear
 from fgloc.core.bounds import dimension_problem
 from fgloc.core.kinematics import Parameter, WheeledBase
+from fgloc.core.motion_models import MODELS, PARAMETERS, added
 from fgloc.core.robot import Robot, WheelNoise
 from fgloc.errors import FglocError
 from fgloc.toml_file import SMALLEST, TomlFile, quoted, read_toml
@@ -37,6 +43,8 @@ class RobotTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Name in tables and reports; None keeps the drive's."""
     kind: str | None = None
     """Kinematic model: "full-linear", or None or the drive's own to keep that."""
+    models: tuple[str, ...] = ()
+    """Models beyond the geometry, each with a parameter of its own."""
 
 
 class ParameterTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -46,6 +54,25 @@ class ParameterTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Value to start from, in the parameter's unit; None keeps the drive's."""
     sigma: float | None = None
     """Prior standard deviation in the same unit, 0 = fixed; None keeps the drive's."""
+
+
+class SensorTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One table [sensors."NAME"]; everything may be left out."""
+
+    x: float | None = None
+    """Place on the robot, forward [m]."""
+    y: float | None = None
+    """Place on the robot, to the left [m]."""
+    yaw: float | None = None
+    """Direction on the robot [rad]."""
+    x_sigma: float | None = None
+    """Prior standard deviation of x [m], 0 = known exactly."""
+    y_sigma: float | None = None
+    """Prior standard deviation of y [m]."""
+    yaw_sigma: float | None = None
+    """Prior standard deviation of yaw [rad]."""
+    time_offset: float | None = None
+    """By how much its stamps are early [s]; they are put right."""
 
 
 NoiseTable = msgspec.defstruct(
@@ -65,10 +92,14 @@ class RobotFile(TomlFile):
     """What the robot is called."""
     kind: str | None = None
     """Which kinematic model it has."""
+    models: tuple[str, ...] = ()
+    """Which models it has beyond that."""
     parameters: Mapping[str, ParameterTable] = field(default_factory=dict)
     """Calibration parameters by contract name."""
     noise: Mapping[str, float] = field(default_factory=dict)
     """Fields of WheelNoise by name, only those that were given."""
+    sensors: Mapping[str, SensorTable] = field(default_factory=dict)
+    """Where sensors sit, by their names."""
 
 
 def load_robot(path: str | Path) -> RobotFile:
@@ -79,7 +110,7 @@ def load_robot(path: str | Path) -> RobotFile:
     """
     read = read_toml(Path(path), "--robot", "robot file")
     file = RobotFile(read.source, read.text)
-    raw = file.parse("robot", "parameters", "noise")
+    raw = file.parse("robot", "parameters", "noise", "sensors")
     parameters = raw.get("parameters", {})
     if not isinstance(parameters, dict):
         raise file.error("parameters must be a table", "parameters")
@@ -94,17 +125,47 @@ def load_robot(path: str | Path) -> RobotFile:
         lowest = SMALLEST if name.startswith("standing") else 0.0
         file.check_number(value, lowest, "noise", name)
     robot = file.table(raw.get("robot", {}), RobotTable, "robot")
-    return replace(file, name=robot.name, kind=robot.kind, parameters=tables, noise=noise)
+    for model in robot.models:
+        if model not in MODELS:
+            known_models = ", ".join(MODELS)
+            message = f"robot.models: unknown model {model!r}; known are {known_models}"
+            raise file.error(message, "robot", "models")
+    return replace(
+        file,
+        name=robot.name,
+        kind=robot.kind,
+        models=robot.models,
+        parameters=tables,
+        noise=noise,
+        sensors=_sensors(file, raw.get("sensors", {})),
+    )
 
 
-def apply_robot(robot: Robot, path: str | Path) -> Robot:
-    """Return the robot with what the robot file at `path` says instead of its own description.
+def _sensors(file: RobotFile, raw: object) -> dict[str, SensorTable]:
+    """Return the checked tables of sensors."""
+    if not isinstance(raw, dict):
+        raise file.error("sensors must be a table", "sensors")
+    found = {n: file.table(t, SensorTable, "sensors", n) for n, t in raw.items()}
+    for name, table in found.items():
+        for key, value in msgspec.structs.asdict(table).items():
+            file.check_number(
+                value, 0.0 if key.endswith("_sigma") else -math.inf, "sensors", name, key
+            )
+            unit = "rad" if key.startswith("yaw") else "s" if key == "time_offset" else "m"
+            problem = None if value is None else dimension_problem(key, unit, value)
+            if problem is not None and key != "yaw_sigma":
+                raise file.error(f"sensors.{name}.{key} {problem}", "sensors", name, key)
+    return found
+
+
+def apply_robot(robot: Robot, path: str | Path | RobotFile) -> Robot:
+    """Return the robot with what a robot file, or the one at `path`, says instead of its own.
 
     A new value without a sigma keeps the prior: relative for radii and track, absolute for
     positions and angles. Raises FglocError as `load_robot` does, and for a parameter that this
     robot does not have, that must be positive or whose size tells of a wrong unit.
     """
-    file = load_robot(path)
+    file = path if isinstance(path, RobotFile) else load_robot(path)
     robot = replace(robot, base=_with_kind(file, robot.base))
     known = {p.name: p for p in robot.base.parameters}
     moved: dict[str, float] = {}
@@ -134,6 +195,9 @@ def apply_robot(robot: Robot, path: str | Path) -> Robot:
 def robot_toml(robot: Robot) -> str:
     """Return a robot file that says everything `apply_robot` can set, without losing a digit."""
     lines = ["[robot]", f"name = {quoted(robot.name)}", f"kind = {quoted(robot.base.kind)}"]
+    models = [m for m, name in PARAMETERS.items() if any(p.name == name for p in added(robot.base))]
+    if models:
+        lines.append(f"models = [{', '.join(quoted(m) for m in models)}]")
     for p in robot.base.parameters:
         lines += [
             "",
@@ -153,11 +217,24 @@ def dump_robot(robot: Robot, path: str | Path) -> None:
 
 def _with_kind(file: RobotFile, base: WheeledBase) -> WheeledBase:
     """Return the base as the kinematic model that the file wants."""
-    if file.kind is None or file.kind == base.kind:
-        return base
+    if file.kind is not None and file.kind != base.kind:
+        base = _of_kind(file, base)
+    for model in file.models:
+        if PARAMETERS[model] in [p.name for p in added(base)]:
+            continue
+        try:
+            base = MODELS[model](base)
+        except FglocError as error:
+            raise file.error(f"robot.models: {error}", "robot", "models") from error
+    return base
+
+
+def _of_kind(file: RobotFile, base: WheeledBase) -> WheeledBase:
+    """Return the base as another kinematic model of the same wheels."""
     if file.kind != "full-linear":
         known = f'"{base.kind}" or "full-linear"'
-        raise file.error(f"robot.kind must be {known}, got {quoted(file.kind)}", "robot", "kind")
+        message = f"robot.kind must be {known}, got {quoted(file.kind or '')}"
+        raise file.error(message, "robot", "kind")
     try:
         return full_linear(base)
     except FglocError as error:

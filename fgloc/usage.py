@@ -45,6 +45,7 @@ def build_parser() -> argparse.ArgumentParser:
     _smooth(commands)
     _localise(commands)
     _compare(commands)
+    _calibrate(commands)
     _simulate(commands)
     _datasets(commands)
     _experiments(commands)
@@ -159,6 +160,47 @@ def _compare(commands: Commands[argparse.ArgumentParser]) -> None:
     topics_option(parser)
     common(parser, "data", "json", "out")
     parser.set_defaults(map=None, map_resolution=None)
+
+
+def _calibrate(commands: Commands[argparse.ArgumentParser]) -> None:
+    """Add `fgloc calibrate`."""
+    parser = command(
+        commands,
+        "calibrate",
+        "calibrate a robot on some drives, and evaluate that on others",
+        "fgloc calibrate 'optiodom:diff/square/*' --evaluate 'optiodom:diff/circular/*'",
+        "fgloc calibrate run1.bag run2.bag --evaluate run3.bag --save robot.toml",
+        "fgloc calibrate 'borealtc-husky:ASPHALT/*' --reference sensors",
+    )
+    parser.add_argument("fit", metavar="FIT", nargs="+", help=f"drives to calibrate on: {DRIVE}")
+    parser.add_argument(
+        "--evaluate",
+        metavar="OTHER",
+        nargs="+",
+        default=[],
+        help="drives with a recorded truth to evaluate on, none of them among FIT",
+    )
+    parser.add_argument(
+        "--save", metavar="FILE", type=Path, help="write the calibrated robot as a file for --robot"
+    )
+    parser.add_argument(
+        "--reference",
+        choices=("auto", "truth", "sensors"),
+        default="auto",
+        help="compare the wheels with the recorded truth or with the drive's own sensors "
+        "(default: the truth where every drive of the fit has one)",
+    )
+    parser.add_argument(
+        "--model",
+        metavar="ID",
+        help="kinematic model, e.g. geometry or full-linear+rotation-scale (default: the one that "
+        "does best on drives left out of the fit)",
+    )
+    fix_options(parser)
+    robot_option(parser)
+    selection_option(parser)
+    topics_option(parser)
+    common(parser, "data", "json", "out")
 
 
 def _simulate(commands: Commands[argparse.ArgumentParser]) -> None:

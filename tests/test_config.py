@@ -86,7 +86,7 @@ TRACK = '[parameters."effective_track"]\n'
     ("text", "place", "message"),
     [
         ("bad = \n", ":1", "is not TOML: Invalid value"),
-        ("[robto]\n", ":1", "unknown key 'robto'; known are robot, parameters and noise"),
+        ("[robto]\n", ":1", "unknown key 'robto'; known are robot, parameters, noise and sensors"),
         (f"\n{TRACK}# x\nvaleu = 1\n", ":4", "unknown key 'valeu' in parameters.effective_track"),
         (
             f"{TRACK}value = 'a'\n",

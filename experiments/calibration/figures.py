@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -77,7 +76,6 @@ def residual_figure(outcomes: Sequence[Outcome], data: Path | None) -> Figure:
             for name in o.case.judged:
                 drive = load_drive(name, data)
                 assert drive.truth is not None
-                drive = replace(drive, robot=o.report.robot)
                 wheels = open_loop_trajectory(drive, o.report.robot, mount_of(o.report, drive))
                 truth = drive.truth.trajectory.poses
                 told = wheels.poses[-1, 2] - wheels.poses[0, 2]

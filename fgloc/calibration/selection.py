@@ -15,13 +15,12 @@ from fgloc.calibration.result import Candidate, ClockFit
 from fgloc.calibration.validation import MIN_DRIVES, Errors, errors, held_out, open_loop
 from fgloc.core.kinematics import Parameter
 from fgloc.core.measurements import Floats
+from fgloc.core.motion_models import added
 
 PIECES = 6
 """Pieces that few drives are cut into, each, for choosing a model."""
 NO_WORSE = 0.03
 """A simpler model is taken if the error left out grows by no more than this part."""
-ADDED = ("rotation_scale", "lateral_scale", "icr_x")
-"""Parameters that models add to a geometry."""
 LATE_S = 0.1
 """Offsets of clocks that matter [s]."""
 LATE_SIGMA = 2.5
@@ -120,10 +119,11 @@ def _identified(fit: PathFit) -> bool:
     but the priors: such a model does well on more squares, and badly on anything else.
     """
     sigma = np.sqrt(np.diag(fit.covariance))
+    more = {p.name for p in added(fit.model.robot.base)}
     return all(
         s < 0.5 * p.solver_sigma
         for p, s in zip(fit.model.parameters, sigma, strict=True)
-        if p.name in ADDED
+        if p.name in more
     )
 
 

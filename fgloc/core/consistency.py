@@ -119,3 +119,10 @@ def average(
         runs=n,
         skipped=squared.size - n,
     )
+
+
+def correlations(covariance: Floats) -> Floats:
+    """Return the (N, N) correlation matrix of a covariance; rows without a variance are NaN."""
+    sigma = np.sqrt(np.diag(covariance))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(covariance / np.outer(sigma, sigma))

@@ -69,6 +69,23 @@ MODELS: dict[str, Callable[[WheeledBase], WheeledBase]] = {
     "icr": free_icr,
 }
 """Models by the name that files and reports use."""
+PARAMETERS = {
+    "rotation-scale": "rotation_scale",
+    "lateral-scale": "lateral_scale",
+    "icr": "icr_x",
+}
+"""The parameter that each model adds or frees."""
+
+
+def added(base: WheeledBase) -> tuple[Parameter, ...]:
+    """Return the parameters that models have added to a base, or freed in it."""
+    scale = {w.name for w in base.wheels if w.kind == "scale"}
+    linked = {name for name, wheel, _, _ in base.links if wheel in scale}
+    return tuple(
+        p
+        for p in base.parameters
+        if p.name in linked or (p.name == "icr_x" and p.prior_sigma > 0.0)
+    )
 
 
 def turning_radius(base: WheeledBase) -> float:

@@ -36,13 +36,13 @@ def calibrations(comparison: Comparison, fancy: bool) -> Iterator[RenderableType
         if len(comparison.drives) <= SINGLE:
             for _, calibration in found:
                 yield f"Calibration by {method} ({OBSERVED})"
-                yield _calibration(calibration, fancy)
+                yield calibration_table(calibration, fancy)
         else:
             yield from _calibration_summaries(method, found, fancy)
         yield ""
 
 
-def _calibration(calibration: Sequence[CalibrationEstimate], fancy: bool) -> Table:
+def calibration_table(calibration: Sequence[CalibrationEstimate], fancy: bool) -> Table:
     """Return one calibration, parameter by parameter."""
     table = new_table(fancy)
     table.add_column("parameter", no_wrap=True)
