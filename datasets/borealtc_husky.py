@@ -99,9 +99,7 @@ def load(folder: Path, run: str, name: str) -> Drive:
     )
 
 
-def _read(
-    file: Path, columns: tuple[str, ...], rejected: Counter[str], prefix: str
-) -> Floats:
+def _read(file: Path, columns: tuple[str, ...], rejected: Counter[str], prefix: str) -> Floats:
     """Return (N, C) wanted columns of a comma file with a header, time first and increasing."""
     lines = read_lines(file)
     header = [h.strip() for h in (lines.text[0] if lines.text else lines.rest).split(",")]

@@ -27,8 +27,13 @@ from fgloc.core.bases import differential
 from fgloc.core.drive import Drive
 from fgloc.core.measurements import CameraPoses, Floats, WheelIncrements
 from fgloc.core.robot import Robot
-from fgloc.datasets.text import NOT_A_NUMBER, TRUNCATED, count, finite_rows, read_lines
-from fgloc.datasets.text import seconds_to_ns
+from fgloc.datasets.text import (
+    TRUNCATED,
+    count,
+    finite_rows,
+    read_lines,
+    seconds_to_ns,
+)
 from fgloc.errors import FglocError
 
 NAME = "censi-calibration"
@@ -124,18 +129,18 @@ def _row(item: Any, file: Path, line: int) -> list[float]:
     """Return the six numbers of an object; raises FglocError for a missing or a wrong field."""
     if not isinstance(item, dict):
         raise FglocError("this is not a JSON object; remove the line", file=file, line=line)
-    values: list[Any] = []
     for key in ("T", "phi_l", "phi_r", "sm"):
         if key not in item:
             raise FglocError(
                 f"the field {key!r} is missing; remove or repair the line", file=file, line=line
             )
-        values += item[key] if isinstance(item[key], list) else [item[key]]
-    numbers = [float(v) for v in values if isinstance(v, int | float) and not isinstance(v, bool)]
-    if not isinstance(item["sm"], list) or len(values) != 6 or len(numbers) != 6:
+    moved = item["sm"] if isinstance(item["sm"], list) and len(item["sm"]) == 3 else [None]
+    values = [item["T"], item["phi_l"], item["phi_r"], *moved]
+    # A truth value is a number to Python.
+    if not all(type(v) in (int, float) for v in values):
         raise FglocError(
             "T, phi_l and phi_r must be numbers and sm three of them; remove or repair the line",
             file=file,
             line=line,
         )
-    return numbers
+    return [float(v) for v in values]

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from fgloc.calibration.displacements import displacements_of as displacements_of
 from fgloc.core.geometry import between, compose, exp, wrap
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
@@ -35,6 +36,9 @@ MAX_CONDITION = 75.0
 (in m of wheel travel) may differ by a factor of 8.7."""
 FEWEST = 6
 """Fewer intervals are refused."""
+
+CLEARLY = 25.0
+"""Driving exceeds turning by more, in squares: one of the two is as good as missing."""
 
 Indices = npt.NDArray[np.int64]
 
@@ -226,9 +230,9 @@ def _check_excitation(angles: Floats, normal: Floats, most: float) -> float:
     turning = float(((angles[:, 1] - angles[:, 0]) ** 2).sum())
     if high <= 0.0:
         missing = "the wheels stand still; drive"
-    elif forward > 8.0 * turning:
+    elif forward > CLEARLY * turning:
         missing = "the drive hardly turns; add spins in both directions"
-    elif turning > 8.0 * forward:
+    elif turning > CLEARLY * forward:
         missing = "the drive only spins; add straight stretches"
     else:
         missing = "the wheels always turn in the same ratio; add other curves, a spin, a straight"
