@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fgloc.core.drive import Drive
-from fgloc.datasets import carmen, carmen_lines, jaguar, jaguar_lines, own_csv, own_format
+from fgloc.datasets import carmen, carmen_lines, cut, jaguar, jaguar_lines, own_csv, own_format
 from fgloc.datasets.catalogue import DATASETS as DATASETS
 from fgloc.datasets.catalogue import Dataset
 from fgloc.datasets.plausible import check_plausible
@@ -33,6 +33,9 @@ SIMULATED = "sim"
 """Prefix of drives that are made, not read: `sim:NAME?seed=1&key=value`."""
 SEMI_REAL = "semi"
 """Prefix of recorded drives with a synthesised camera and gyro: `semi:DRIVE?seed=1`."""
+
+OF_DRIVES = (SEMI_REAL, cut.PREFIX)
+"""Prefixes that go before another drive's id."""
 
 
 def cache_folder() -> Path:
@@ -59,7 +62,9 @@ def dataset(name: str) -> Dataset:
         raise FglocError("sim drives are made on the spot, there is nothing to fetch; use sim:NAME")
     if name == SEMI_REAL:
         raise FglocError("semi: goes before a drive's own id; fetch the data set that it is of")
-    known = [*DATASETS, SIMULATED, SEMI_REAL]
+    if name == cut.PREFIX:
+        raise FglocError("cut: goes before a drive's own id; fetch the data set that it is of")
+    known = [*DATASETS, SIMULATED, SEMI_REAL, cut.PREFIX]
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]}? " if near else ""
     raise FglocError(f"no dataset is called {name!r}; {hint}known are {', '.join(known)}")
@@ -92,7 +97,7 @@ def list_drives(name: str, data: Path | None = None) -> list[str]:
 def is_dataset_id(drive_id: str) -> bool:
     """Return True if this reads as `dataset:run` rather than as a path."""
     head, colon, _ = drive_id.partition(":")
-    if head in DATASETS or head in (SIMULATED, SEMI_REAL):
+    if head in DATASETS or head in (SIMULATED, *OF_DRIVES):
         return not (head == drive_id and Path(drive_id).exists())
     return bool(colon) and bool(re.fullmatch(r"\w[\w-]+", head)) and not Path(drive_id).exists()
 
@@ -104,10 +109,10 @@ def expand(drive_ids: Sequence[str], data: Path | None = None) -> list[str]:
     """
     found: list[str] = []
     for drive_id in drive_ids:
-        semi = _semi_real(drive_id)
-        if semi is not None:
-            inner, query = semi
-            found += [f"{SEMI_REAL}:{one}{query and '?'}{query}" for one in expand([inner], data)]
+        outer = _prefixed(drive_id)
+        if outer is not None:
+            prefix, inner, query = outer
+            found += [f"{prefix}:{one}{query and '?'}{query}" for one in expand([inner], data)]
             continue
         name, _, run = drive_id.partition(":")
         pattern = "*" if run == "all" else run
@@ -128,7 +133,8 @@ def load_drive(
     """Return the drive a user named: a path, `dataset:run` or `sim:NAME?seed=1&key=value`.
 
     `semi:` before a recorded drive, and `?seed=1` behind it, adds a synthesised camera and gyro
-    (`fgloc.datasets.simulator.semi_real`). `data` is searched before $FGLOC_DATA and the user's
+    (`fgloc.datasets.simulator.semi_real`); `cut:` and `?begin=10&end=60` keep a part of it
+    (`fgloc.datasets.cut`). `data` is searched before $FGLOC_DATA and the user's
     cache; `topics` is the topic map of a ROS bag, or the file it is in. Raises FglocError for an
     unknown dataset or run, a dataset that is not here, a missing file, content that cannot be read,
     a topic map for what is no bag, a semi-real drive without a truth, or measurements in an
@@ -142,11 +148,15 @@ def load_with_topics(
 ) -> tuple[Drive, TopicMap | None]:
     """Return what `load_drive` does, and the topic map as it was used; None for what is no bag."""
     given = load_topics(topics) if isinstance(topics, Path) else topics
-    semi = _semi_real(drive_id)
-    if semi is not None:
+    outer = _prefixed(drive_id)
+    if outer is not None:
+        prefix, inner, query = outer
+        if prefix == cut.PREFIX:
+            where = cut.parse(query)
+            drive, used = load_with_topics(inner, data, given)
+            return cut.cut(drive, where, drive_id), used
         from fgloc.datasets.simulator.semi_real import parse, with_semi_real
 
-        inner, query = semi
         spec = parse(query)
         drive, used = load_with_topics(inner, data, given)
         return with_semi_real(drive, spec, drive_id), used
@@ -178,18 +188,19 @@ def world_of(drive_id: str) -> World | None:
     return load_sim_world(run)
 
 
-def _semi_real(drive_id: str) -> tuple[str, str] | None:
-    """Return the recorded drive and the query of `semi:DRIVE?query`; None for any other id."""
+def _prefixed(drive_id: str) -> tuple[str, str, str] | None:
+    """Return prefix, inner drive and query of `semi:DRIVE?query`; None for any other id."""
     head, _, rest = drive_id.partition(":")
-    if head != SEMI_REAL or not is_dataset_id(drive_id):
+    if head not in OF_DRIVES or not is_dataset_id(drive_id):
         return None
     # A question mark may also be part of a pattern over runs; a query has an equals sign.
     inner, mark, query = rest.rpartition("?")
     if not mark or "=" not in query:
         inner, query = rest, ""
     if not inner:
-        raise FglocError(f"{drive_id} lacks a drive; write it like semi:vitko-swerve:1?seed=1")
-    return inner, query
+        example = {SEMI_REAL: "?seed=1", cut.PREFIX: "?begin=10&end=60"}[head]
+        raise FglocError(f"{drive_id} lacks a drive; write it like {head}:vitko-swerve:1{example}")
+    return head, inner, query
 
 
 def _no_bag(drive_id: str) -> FglocError:

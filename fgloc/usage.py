@@ -24,7 +24,10 @@ METHODS = "model1,model2,model3,pose-ekf,rl-ekf,ekf-slam,batch,online"
 INTEGRATORS = ("exact", "midpoint", "euler")
 """Steps of Model 1; `fgloc.core.geometry.INTEGRATORS`, which cannot be imported without numpy."""
 
-DRIVE = "a recording (path), DATASET:RUN, sim:NAME?key=value, or semi:DRIVE?seed=N"
+DRIVE = (
+    "a recording (path), DATASET:RUN, sim:NAME?key=value, semi:DRIVE?seed=N, "
+    "or cut:DRIVE?begin=S&end=S"
+)
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from fgloc.core.robot import Robot
 from fgloc.experiments.experiment import Context, Experiment
-from fgloc.experiments.seed_d.calibrated import Calibration
 from fgloc.experiments.seed_d.figures import bars_figure, paths_figure
 from fgloc.experiments.seed_d.runs import (
     DATASET,
@@ -96,7 +96,8 @@ def run(context: Context) -> Report:
             "budget": BUDGET,
             "noise": {name: dict(found) for name, found in noise.items()},
             "calibrations": {
-                f"without repetition {k + 1}": dict(c.values) for k, c in calibrations.items()
+                f"without repetition {k + 1}": {p.name: p.nominal for p in c.base.parameters}
+                for k, c in calibrations.items()
             },
         },
         data={
@@ -108,7 +109,7 @@ def run(context: Context) -> Report:
     )
 
 
-def _calibrations(context: Context, runs: Sequence[str]) -> dict[int, Calibration]:
+def _calibrations(context: Context, runs: Sequence[str]) -> dict[int, Robot]:
     """Return for every repetition the robot fitted on the runs of all others."""
     repetitions = sorted({repetition(name) for name in runs})
     if len(repetitions) < 2:
@@ -121,7 +122,7 @@ def _calibrations(context: Context, runs: Sequence[str]) -> dict[int, Calibratio
 
 
 def _tuned(
-    context: Context, runs: Sequence[str], calibrations: Mapping[int, Calibration]
+    context: Context, runs: Sequence[str], calibrations: Mapping[int, Robot]
 ) -> dict[str, Noise]:
     """Return the fitted noise of every tuned entrant."""
     chosen = [e for e in ENTRANTS if e.tuned and (calibrations or not e.calibrated)]

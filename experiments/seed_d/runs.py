@@ -9,9 +9,9 @@ from pathlib import Path
 
 from fgloc.core.drive import Drive
 from fgloc.core.measurements import Floats
+from fgloc.core.robot import Robot
 from fgloc.core.trajectory import Trajectory
 from fgloc.estimator import Estimator
-from fgloc.experiments.seed_d.calibrated import Calibration
 
 DATASET = "vitko-swerve"
 """The recordings."""
@@ -62,7 +62,7 @@ class Job:
     """Run of the data set."""
     seed: int | None
     """Seed of the semi-real sensors; None for the methods that use wheels alone."""
-    calibration: Calibration | None
+    calibration: Robot | None
     """Robot fitted on other repetitions; None where there are none."""
     noise: Mapping[str, Noise]
     """Tuned parameters by entrant."""
@@ -132,13 +132,9 @@ def load(run: str, seed: int | None, data: Path | None) -> Drive:
     return load_drive(f"semi:{DATASET}:{run}?seed={seed}", data)
 
 
-def with_calibration(drive: Drive, calibration: Calibration | None) -> Drive:
-    """Return the drive of the calibrated robot; as it is without a calibration."""
-    from fgloc.experiments.seed_d.calibrated import apply
-
-    if calibration is None:
-        return drive
-    return replace(drive, robot=apply(drive.robot, calibration))
+def with_calibration(drive: Drive, calibration: Robot | None) -> Drive:
+    """Return the drive of the calibrated robot; as it is without one."""
+    return drive if calibration is None else replace(drive, robot=calibration)
 
 
 def build(entrant: Entrant, noise: Noise = ()) -> Estimator:
@@ -165,7 +161,7 @@ class Training:
     """A tuned one of `ENTRANTS`."""
     runs: tuple[str, ...]
     """One run of each motion; their seed counts from `FIRST_TRAINING_SEED`."""
-    calibrations: Mapping[int, Calibration]
+    calibrations: Mapping[int, Robot]
     """Robots by repetition; empty for the nominal robot."""
     budget: int
     """How many settings are tried."""
@@ -193,12 +189,12 @@ def describe_training(training: Training) -> str:
     return f"tuning: {training.entrant.title}"
 
 
-def fit_job(job: tuple[tuple[str, ...], Path | None]) -> Calibration:
-    """Return the robot fitted on some runs."""
-    from fgloc.experiments.seed_d.calibrated import fit
+def fit_job(job: tuple[tuple[str, ...], Path | None]) -> Robot:
+    """Return the robot calibrated on some runs, as `fgloc calibrate` does."""
+    from fgloc.calibration.calibrate import calibrate
 
     runs, data = job
-    return fit([load(run, None, data) for run in runs])
+    return calibrate([load(run, None, data) for run in runs]).robot
 
 
 def describe_fit(job: tuple[tuple[str, ...], Path | None]) -> str:

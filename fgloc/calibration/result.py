@@ -64,6 +64,8 @@ class Candidate:
     """Standard error of `held_out`."""
     chosen: bool = False
     """Whether the calibration is of this model."""
+    identified: bool = True
+    """Whether the drives observe what it adds; a model that they do not is never chosen."""
 
 
 @dataclass(frozen=True)

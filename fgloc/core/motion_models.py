@@ -80,7 +80,8 @@ def turning_radius(base: WheeledBase) -> float:
     """
     driven = [base.wheels[i] for i in base.driven]
     turn = float(np.sum(np.abs(base.displacements(np.eye(len(driven)))[:, 2])))
-    if any(w.kind == "fixed" for w in driven) and not base.kind == "differential" or turn <= 0.0:
+    steered = base.kind != "differential" and any(w.kind == "fixed" for w in driven)
+    if steered or turn <= 0.0:
         return float(np.mean([math.hypot(w.x, w.y) for w in driven]))
     return float(np.mean([w.radius for w in driven])) / turn
 

@@ -22,10 +22,13 @@ COLOURS = {
     "ekf-slam": "#8C6D31",
     "batch": "#D55E00",
     "online": "#009E73",
+    "nominal": "#0072B2",
+    "calibrated": "#D55E00",
 }
 """Colour of each method, the same in all figures."""
 STYLES = {
     "model1": (0, (5, 2)),
+    "nominal": (0, (5, 2)),
     "model2": (0, (1, 1)),
     "model3": (0, (3, 1, 1, 1)),
     "pose-ekf": (0, (7, 2, 1, 2)),
