@@ -8,10 +8,13 @@ from pathlib import Path
 
 from fgloc.core.drive import Drive
 from fgloc.datasets import (
+    borealtc_husky,
     breezyslam,
+    censi_calibration,
     csail,
     jackal_jackass,
     optiodom,
+    penn_skidsteer,
     polimi_mecanum,
     robot_localization_bags,
     turtlebot3_db3,
@@ -130,6 +133,33 @@ DATASETS: dict[str, Dataset] = {
             "exp2",
             breezyslam.runs,
             breezyslam.load,
+        ),
+        Dataset(
+            censi_calibration.NAME,
+            "Khepera III, differential, a laser's matched scans",
+            "none stated; research data",
+            "https://github.com/AndreaCensi/calibration",
+            "lmov",
+            censi_calibration.runs,
+            censi_calibration.load,
+        ),
+        Dataset(
+            borealtc_husky.NAME,
+            "Clearpath Husky, skid-steer, several grounds",
+            "CC0-1.0",
+            "https://github.com/norlab-ulaval/BorealTC",
+            "ASPHALT/00",
+            borealtc_husky.runs,
+            borealtc_husky.load,
+        ),
+        Dataset(
+            penn_skidsteer.NAME,
+            "four-wheel skid-steer, indoors",
+            "none stated; course data",
+            "https://github.com/zweedao/Robot-Mapping",
+            "20",
+            penn_skidsteer.runs,
+            penn_skidsteer.load,
         ),
     )
 }

@@ -60,26 +60,42 @@ def wheel_redundancy(
     jj: Floats,
     jg: Floats,
 ) -> None:
-    """Residual C·w: by how much wheels contradict each other that roll w = way·exp(g)·(1 - s).
+    """Residual C·w: by how much wheels contradict each other that roll w = way·f·(1 - s).
 
     m = [C (n × W row by row), way (W), index (W)]: the conditions that ways over ground fulfil,
     what each wheel rolled in the interval that ends at xj at the nominal radius [m], and which of
     g is the logarithm of its radius over nominal (-1 for none); slips are columns `slot` to
-    slot + W of xj.
+    slot + W of xj. f = exp(g - mean g) is a wheel's radius relative to the others': a contradiction
+    tells which wheel is the larger one, but must not shrink by making all wheels smaller. Where the
+    radius of one is known, f = exp(g).
     """
     n = r.size
     wheels = m.size // (n + 2)
+    mean, known = 0.0, False
+    for w in range(wheels):
+        index = int(m[(n + 1) * wheels + w])
+        if index >= 0:
+            mean += g[index] / wheels
+        else:
+            known = True
+    if known:
+        mean = 0.0
     for w in range(wheels):
         index = int(m[(n + 1) * wheels + w])
         rolled = m[n * wheels + w]
         if index >= 0:
-            rolled *= np.exp(g[index])
+            rolled *= np.exp(g[index] - mean)
         for a in range(n):
             c = m[a * wheels + w] * rolled
             r[a] += c * (1.0 - xj[slot + w])
             jj[a, slot + w] = -c
             if index >= 0:
                 jg[a, index] += c * (1.0 - xj[slot + w])
+    if not known:
+        for w in range(wheels):
+            index = int(m[(n + 1) * wheels + w])
+            for a in range(n):
+                jg[a, index] -= r[a] / wheels
 
 
 @compiled

@@ -170,12 +170,22 @@ def test_wheels_contradict_each_other_by_what_one_rolls_more() -> None:
     x, g = np.zeros(5), np.zeros(1)
     r = evaluate(Kind.WHEEL_REDUNDANCY, x, x, g, m, 3)[0]
     np.testing.assert_allclose(r, [0.25 * half, 0.0], atol=1e-12)
-    # A fifth of the first one's way is slip; the contradiction grows with the common radius.
+    # A fifth of the first one's way is slip.
     slipping = np.array([0.0, 0.0, 0.0, 0.2, 0.0])
     r = evaluate(Kind.WHEEL_REDUNDANCY, x, slipping, np.array([0.3]), m, 3)[0]
     np.testing.assert_allclose(r, 0.0, atol=1e-12)
-    r = evaluate(Kind.WHEEL_REDUNDANCY, x, x, np.array([math.log(2.0)]), m, 3)[0]
-    np.testing.assert_allclose(r, [0.5 * half, 0.0], atol=1e-12)
+    # Smaller wheels altogether are no explanation: a common radius changes nothing.
+    twice = np.array([math.log(2.0), 0.0])
+    r = evaluate(Kind.WHEEL_REDUNDANCY, x, x, twice[:1], m, 3)[0]
+    np.testing.assert_allclose(r, [0.25 * half, 0.0], atol=1e-12)
+    # One radius twice the other's: sqrt(2) and 1/sqrt(2) of their geometric mean.
+    m[-2:] = 0.0, 1.0
+    r = evaluate(Kind.WHEEL_REDUNDANCY, x, x, twice, m, 3)[0]
+    np.testing.assert_allclose(r, [0.75, 0.0], atol=1e-12)
+    # The second one's is known.
+    m[-2:] = 0.0, -1.0
+    r = evaluate(Kind.WHEEL_REDUNDANCY, x, x, twice, m, 3)[0]
+    np.testing.assert_allclose(r, [1.5 * half, 0.0], atol=1e-12)
 
 
 def test_slip_is_dear_on_the_unlikely_side() -> None:
