@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from fgloc.calibration.against_sensors import against_sensors
 from fgloc.calibration.evaluate import Mount, evaluate_drives
 from fgloc.calibration.models import choice, choices, mounting, same_robot
 from fgloc.calibration.path_fit import PathFit
 from fgloc.calibration.paths import PathData, all_data
-from fgloc.calibration.result import CalibrationReport, DriveResiduals
+from fgloc.calibration.result import CalibrationReport, DriveResiduals, calibrated_robot
 from fgloc.calibration.selection import Selected, select
 from fgloc.core.drive import Drive
 from fgloc.core.measurements import Floats
-from fgloc.core.robot import Robot
 from fgloc.errors import FglocError
-from fgloc.estimator import CalibrationEstimate, calibration_of
+from fgloc.estimator import calibration_of
 
 COMPONENTS = ("x [m]", "y [m]", "heading [rad]")
 """What is compared along an open-loop path."""
@@ -40,12 +40,15 @@ def calibrate(
     fit: Sequence[Drive],
     evaluate: Sequence[Drive] = (),
     settings: CalibrationSettings | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> CalibrationReport:
     """Return the robot of some drives, calibrated, and its errors on others.
 
     All drives must be of one robot. With a recorded truth, the wheels' open-loop paths are fitted
     to it (`fgloc.calibration.path_fit`), and the drives choose between the models that their base
-    may have. Raises FglocError for drives of different robots, without a reference, or whose
+    may have. Without one, or where the settings say so, it is their own sensors that the wheels are
+    compared with, in one graph of all drives (`fgloc.calibration.graph`); `tell` hears of its
+    progress. Raises FglocError for drives of different robots, without a reference, or whose
     wheels do not determine the motion.
     """
     settings = CalibrationSettings() if settings is None else settings
@@ -56,10 +59,11 @@ def calibrate(
     wanted = settings.reference
     if wanted == "auto":
         wanted = "truth" if all(d.truth is not None for d in used) else "sensors"
-    if wanted == "sensors":
-        raise FglocError("calibration against sensors is not there yet")
     begin = time.perf_counter()
-    report = _against_truth(used, settings)
+    if wanted == "truth":
+        report = _against_truth(used, settings)
+    else:
+        report = against_sensors(used, settings.model, tell)
     seconds = time.perf_counter() - begin
     mount = mount_of(report, used[0])
     known = [d for d in others if d.truth is not None]
@@ -125,21 +129,6 @@ def _against_truth(drives: Sequence[Drive], settings: CalibrationSettings) -> Ca
         clocks=found.clocks,
         notes=_notes(found),
     )
-
-
-def calibrated_robot(robot: Robot, estimates: Sequence[CalibrationEstimate]) -> Robot:
-    """Return the robot with found values as nominal and their sigmas as priors.
-
-    Parameters that are not its own are left to others; those it keeps fixed stay fixed.
-    """
-    own = {p.name for p in robot.base.parameters}
-    mine = {e.name: e for e in estimates if e.name in own}
-    base = robot.base.with_values({n: e.value for n, e in mine.items()})
-    parameters = tuple(
-        replace(p, prior_sigma=mine[p.name].sigma, correlation=0.0) if p.name in mine else p
-        for p in base.parameters
-    )
-    return replace(robot, base=replace(base, parameters=parameters))
 
 
 def _residuals(data: Sequence[PathData], fit: PathFit) -> tuple[DriveResiduals, ...]:

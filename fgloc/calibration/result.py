@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from fgloc.core.evaluation import Evaluation
 from fgloc.core.measurements import Floats
@@ -129,3 +129,18 @@ class CalibrationReport:
         """Return the parameters that are not the robot's: mountings, camera scale."""
         own = {p.name for p in self.robot.base.parameters}
         return tuple(p for p in self.parameters if p.name not in own)
+
+
+def calibrated_robot(robot: Robot, estimates: Sequence[CalibrationEstimate]) -> Robot:
+    """Return the robot with found values as nominal and their sigmas as priors.
+
+    Parameters that are not its own are left to others; those it keeps fixed stay fixed.
+    """
+    own = {p.name for p in robot.base.parameters}
+    mine = {e.name: e for e in estimates if e.name in own}
+    base = robot.base.with_values({n: e.value for n, e in mine.items()})
+    parameters = tuple(
+        replace(p, prior_sigma=mine[p.name].sigma, correlation=0.0) if p.name in mine else p
+        for p in base.parameters
+    )
+    return replace(robot, base=replace(base, parameters=parameters))

@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         used, judged = drives[: len(fit)], drives[len(fit) :]
         judged = judged or [d for d in used if d.truth is not None]
         settings = CalibrationSettings(args.reference, args.model)
-        report = calibrate(used, judged, settings)
+        report = calibrate(used, judged, settings, progress.say)
         progress.step(len(drives) + 1, len(drives) + 1, f"fitted in {report.seconds:.2f} s")
     _deliver(args, report, judged)
     return 0
