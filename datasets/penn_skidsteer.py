@@ -47,7 +47,7 @@ TRACK = 0.3937
 """Middle of the left to middle of the right tyres [m], between the inner and outer distances of
 the robot's drawing, 0.31115 and 0.47625 m; the effective track is larger."""
 TRACK_PRIOR = 0.7
-"""Relative prior sigma of the effective track: from half to over three times the wheels' distance."""
+"""Relative prior sigma of the effective track: from half to over three times the geometric one."""
 WHEELS = ("fr", "fl", "rr", "rl")
 """Order of the rows of counts."""
 FASTEST_M_S = 5.0
