@@ -73,8 +73,10 @@ def load(folder: Path, run: str, name: str) -> Drive:
     # Both files hold the whole run, so the lengths tell the rates apart; not where one is cut off.
     start = span if abs(span - 1.0) <= FASTEST else 1.0
     clock = align(speeds[:, 0], speeds[:, 2] - speeds[:, 1], imu[:, 0], imu[:, 1], start)
-    stamps = seconds_to_ns(clock.offset_s + clock.rate * speeds[:, 0])
-    gyro_stamps = seconds_to_ns(imu[:, 0])
+    # No stamp before zero, whichever log began first.
+    begin = max(0.0, -(clock.offset_s + clock.rate * float(speeds[0, 0])))
+    stamps = seconds_to_ns(begin + clock.offset_s + clock.rate * speeds[:, 0])
+    gyro_stamps = seconds_to_ns(begin + imu[:, 0])
     wheels = WheelIncrements(
         "wheels", stamps, trapezoid(stamps, speeds[:, 1:] / RADIUS), ("left", "right")
     )

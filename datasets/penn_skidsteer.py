@@ -46,6 +46,8 @@ RADIUS = 0.127
 TRACK = 0.3937
 """Middle of the left to middle of the right tyres [m], between the inner and outer distances of
 the robot's drawing, 0.31115 and 0.47625 m; the effective track is larger."""
+TRACK_PRIOR = 0.7
+"""Relative prior sigma of the effective track: from half to over three times the geometric one."""
 WHEELS = ("fr", "fl", "rr", "rl")
 """Order of the rows of counts."""
 FASTEST_M_S = 5.0
@@ -92,7 +94,9 @@ def load(folder: Path, run: str, name: str) -> Drive:
         YawRate("gyro", imu_stamps, rate, DENSITY, BIAS_SIGMA, BIAS_WALK),
         Acceleration("acc", imu_stamps, forward),
     )
-    base = skid_steer(("fl", "rl"), ("fr", "rr"), RADIUS, TRACK, order=WHEELS)
+    base = skid_steer(
+        ("fl", "rl"), ("fr", "rr"), RADIUS, TRACK, track_prior=TRACK_PRIOR, order=WHEELS
+    )
     return Drive(
         name,
         Robot.typical("Penn skid-steer", base),

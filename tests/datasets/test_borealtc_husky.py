@@ -80,6 +80,19 @@ def test_faults_name_file_and_line(
     assert message in str(error.value)
 
 
+def test_wheels_that_began_first(tmp_path: Path) -> None:
+    # The wheels' log began 1.2 s before the gyro's, which a correlation tells.
+    own, gyro = np.arange(0.0, 60.0, 0.154), np.arange(0.0, 60.0, 0.01)
+    rows = [f"{t},0,0,0.2,{0.2 + 0.8 * curves(t - 1.2)}" for t in own]
+    turns = [f"{t},0,0,{curves(t)},0,0,9.8" for t in gyro]
+    folder = write(tmp_path, [WHEELS[0], *rows], [IMU[0], *turns])
+    drive = borealtc_husky.load(folder, "ICE/07", "x")
+    assert drive.wheels.stamps_ns[0] == 0
+    begin = drive.each(YawRate)[0].stamps_ns[0]
+    assert begin * 1e-9 == pytest.approx(1.2, abs=0.06)
+    assert "as the turns fit best: t = -1.2" in drive.notes[0]
+
+
 def curves(t: Floats) -> Floats:
     """Return a yaw rate [rad/s] that does not repeat itself."""
     return 0.3 * np.sin(0.7 * t) + 0.2 * np.sin(1.9 * t + 1.0) + 0.1 * np.sin(0.23 * t * t / 10.0)
