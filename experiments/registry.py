@@ -12,6 +12,7 @@ MODULES: dict[str, str] = {
     "seed-a-simulation": "fgloc.experiments.seed_a.simulation",
     "seed-a-vehicle": "fgloc.experiments.seed_a.vehicle",
     "seed-d-nominal": "fgloc.experiments.seed_d.nominal",
+    "seed-d-calibration": "fgloc.experiments.seed_d.calibration",
     "calibration": "fgloc.experiments.calibration.recorded",
     "seed-b": "fgloc.experiments.rooms.seed_b",
     "seed-c": "fgloc.experiments.rooms.seed_c",

@@ -1,0 +1,1 @@
+"""The optimisers of a published calibration on its own problem, beside each other."""
