@@ -14,6 +14,7 @@ MODULES: dict[str, str] = {
     "seed-d-nominal": "fgloc.experiments.seed_d.nominal",
     "seed-d-calibration": "fgloc.experiments.seed_d.calibration",
     "calibration": "fgloc.experiments.calibration.recorded",
+    "slip": "fgloc.experiments.slip",
     "seed-b": "fgloc.experiments.rooms.seed_b",
     "seed-c": "fgloc.experiments.rooms.seed_c",
     "csail": "fgloc.experiments.csail",

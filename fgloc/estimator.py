@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -103,6 +104,10 @@ class SensorCount:
     """Not used at all (outside the drive, invalid, gated)."""
 
 
+SLIPPING = 0.05
+"""Slip from which on a wheel is said to slip."""
+
+
 @dataclass(frozen=True)
 class WheelSlip:
     """One wheel that slipped for a while."""
@@ -117,6 +122,16 @@ class WheelSlip:
     """Mean slip: 1 - way over ground / way rolled; below 0 where the wheel dragged."""
     sigma: float
     """Mean posterior standard deviation of the slip."""
+
+    @property
+    def probability(self) -> float:
+        """Return the probability that the wheel slips by 5 % or more, from slip and sigma.
+
+        NaN without a sigma.
+        """
+        if not self.sigma > 0.0:
+            return math.nan
+        return 0.5 * math.erfc((SLIPPING - abs(self.slip)) / (math.sqrt(2.0) * self.sigma))
 
 
 @dataclass(frozen=True)

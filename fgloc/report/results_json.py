@@ -95,7 +95,7 @@ def _method(outcome: MethodOutcome) -> dict[str, Any]:
         },
         "counts": {sensor: asdict(count) for sensor, count in result.counts.items()},
         "poses": len(result.trajectory),
-        "slips": [asdict(slip) for slip in result.slips],
+        "slips": [{**asdict(slip), "probability": slip.probability} for slip in result.slips],
         "convergence": result.convergence,
         "notes": list(result.notes),
         "online": None if result.live is None else _live(result.live),

@@ -13,6 +13,7 @@ from fgloc.core.kinematics import Parameter, prior_covariance
 from fgloc.core.measurements import Floats, Stamps
 from fgloc.core.preintegration import Preintegrated, SplitIncrements, preintegrate
 from fgloc.core.robot import Robot
+from fgloc.estimator import SLIPPING
 from fgloc.factors.robust import PLAIN, Loss
 from fgloc.factors.slip import slip_effect
 from fgloc.factors.tables import FactorTable, Kind
@@ -47,10 +48,6 @@ def physical_values(
     for k, index in enumerate(free):
         values[index] = parameters[k].to_value(float(u[k]))
     return values
-
-
-SLIPPING = 0.05
-"""Slip from which on a wheel is said to slip."""
 
 
 @dataclass(frozen=True)

@@ -16,13 +16,13 @@ import numpy as np
 import numpy.typing as npt
 
 from fgloc.core.measurements import Floats
-from fgloc.estimator import WheelSlip
+from fgloc.estimator import SLIPPING, WheelSlip
 from fgloc.factors.robust import PLAIN
 from fgloc.factors.slip import SlipModel, likely_side, redundancy_table, slip_tables
 from fgloc.factors.tables import FactorTable, Kind, linearise
 from fgloc.smoothing.minimise import CalibrationPrior, Point, minimise
 from fgloc.smoothing.optimise import Solution, finish
-from fgloc.smoothing.problem import FIXES, SLIPPING, Problem
+from fgloc.smoothing.problem import FIXES, Problem
 from fgloc.smoothing.settings import Settings
 from fgloc.smoothing.slip_report import runs, wheel_slips
 
