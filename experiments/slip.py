@@ -209,8 +209,8 @@ def execute(context: Context) -> Report:
         (_table(found),),
         (
             "Slips of 15 to 38 % (wheels turn 1.18 to 1.6 times as fast as they roll), 1 to 4 s "
-            "long, three a drive of 60 s; the true track and radii are drawn from their priors. Time "
-            "counts while wheels turn.",
+            "long, three a drive of 60 s; the true track and radii are drawn from their priors. "
+            "Time counts while wheels turn.",
             "With a gyro alone, wheels of a side that slip together look like another turn and "
             "another speed: nobody sees the speed, and which side it was only the sign of the "
             "wheels' torque tells.",

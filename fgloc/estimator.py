@@ -135,6 +135,29 @@ class WheelSlip:
 
 
 @dataclass(frozen=True)
+class TurningHistory:
+    """The parameter that decides how far wheels turn the base, over time, as it was known then."""
+
+    name: str
+    """Its contract name: "effective_track", for bases without a track "base_radius" or
+    "rotation_scale"."""
+    unit: str
+    """"m" or "1"."""
+    nominal: float
+    """Nominal value."""
+    stamps_ns: Stamps
+    """(N,) stamps."""
+    values: Floats
+    """(N,) estimates."""
+    sigmas: Floats
+    """(N,) their standard deviations."""
+
+
+TURNING = ("effective_track", "base_radius", "rotation_scale")
+"""Parameters that decide how far wheels turn a base, the usual one first."""
+
+
+@dataclass(frozen=True)
 class Spread:
     """What many times were [s]."""
 
@@ -200,6 +223,8 @@ class Result:
     """Which wheels slipped when, in order of time; empty for methods that do not model slip."""
     calibration_covariance: Floats | None = None
     """(G, G) covariance of `calibration` in its order and physical units; None if unknown."""
+    turning: TurningHistory | None = None
+    """Effective track over time; None for methods that do not follow it."""
     map: Map | None = None
     """Walls and landmarks; None for methods that make no map, or without a sensor for it."""
 

@@ -133,6 +133,27 @@ def _slips(
     )
 
 
+def _track_steps(spec: SimSpec, base: WheeledBase) -> list[tuple[float, float]]:
+    """Return from when on [s] the effective track is by which factor another one."""
+    if spec.track_steps == "off":
+        return []
+    if not any(p.name == "effective_track" for p in base.parameters):
+        raise FglocError(
+            f"track_steps: robot={spec.robot} has no track; use robot=skid or differential"
+        )
+    steps = []
+    for text in spec.track_steps.split(","):
+        begin, _, factor = text.partition(":")
+        try:
+            step = (float(begin), float(factor))
+        except ValueError:
+            step = (-1.0, 0.0)
+        if not (step[0] >= 0.0 and 0.1 <= step[1] <= 10.0):
+            raise FglocError(f"track_steps: {text!r} is no TIME:FACTOR, as in 30:0.8,60:1.2")
+        steps.append(step)
+    return sorted(steps)
+
+
 def simulate(spec: SimSpec, name: str) -> Drive:
     """Return the drive of a spec whose motion is one of `MOTIONS` or in a world, with id `name`."""
     model = build(spec.robot, spec.nominal_track)
@@ -158,6 +179,11 @@ def simulate(spec: SimSpec, name: str) -> Drive:
         commanded, true = keep_to_course(wanted, slip, start, model.holonomic, icr_x)
     course = Course.follow(true, step_ns, start)
     angles, steering = roll(base, values, model.steered, commanded)
+    for begin, factor in _track_steps(spec, base):
+        k = round(begin * 1e9 / step_ns)
+        other = values.copy()
+        other[[p.name for p in base.parameters].index("effective_track")] *= factor
+        angles[k:] = roll(base, other, model.steered, commanded[k:])[0]
     encoder = spec.encoder
     if encoder.ticks < 0:
         encoder = replace(encoder, ticks=model.ticks)

@@ -49,6 +49,9 @@ class SimSpec:
     calibration: str = "drawn"
     """drawn: the true parameters are drawn from their priors, none beyond 2.5 sigma; prior: the
     same without that limit, as statistics over many seeds need it; nominal: they are as stated."""
+    track_steps: str = "off"
+    """off, or TIME:FACTOR[,…]: from TIME [s] on the true effective track is FACTOR times the one
+    that the drive begins with, as on another ground."""
     radius_sigma: float | None = None
     """Relative sigma the true wheel radii are drawn with; None: that of their prior."""
     wheel_noise: float = 1.0

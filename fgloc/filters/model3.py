@@ -14,7 +14,7 @@ from fgloc.core.measurements import Floats, Stamps, Yaw
 from fgloc.core.start import start_pose, trim_to_truth
 from fgloc.core.trajectory import Trajectory
 from fgloc.errors import FglocError
-from fgloc.estimator import CalibrationEstimate, Result, SensorCount
+from fgloc.estimator import CalibrationEstimate, Result, SensorCount, TurningHistory
 from fgloc.filters.heading import heading_source, nearest_readings, rate_note, silence_note
 from fgloc.filters.model1 import trim_note
 from fgloc.filters.model2 import rate_turn
@@ -218,6 +218,14 @@ class Model3:
             },
             notes=(*notes, *trim_note(left_out)),
             calibration_covariance=covariances[-1:, 3, 3:].copy(),
+            turning=TurningHistory(
+                TRACK,
+                track.unit,
+                track.nominal,
+                stamps,
+                states[:, 3].copy(),
+                np.sqrt(np.maximum(covariances[:, 3, 3], 0.0)),
+            ),
         )
         return History(stamps, states, covariances, corrected, result)
 

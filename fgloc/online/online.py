@@ -64,6 +64,7 @@ class OnlineSmoother:
             live=session.live,
             slips=slips,
             calibration_covariance=covariance,
+            turning=session.track.history(),
             map=map_of(engine),
         )
 

@@ -11,6 +11,7 @@ from fgloc.core.drive import Drive
 from fgloc.estimator import Live, Spread
 from fgloc.online.checkpoint_folder import CheckpointFolder
 from fgloc.online.engine import OnlineEngine, Start
+from fgloc.online.layout import make_layout
 from fgloc.online.pacing import Pace
 from fgloc.online.replay import Packet, packets
 from fgloc.online.settings import OnlineSettings
@@ -45,7 +46,10 @@ class Session:
         self, drive: Drive, start: Start | None, settings: OnlineSettings, options: ReplayOptions
     ) -> None:
         """Begin, or go on from a checkpoint; raises FglocError if that is not possible."""
-        self.track = Track(drive.wheels.stamps_ns)
+        self.track = Track(
+            drive.wheels.stamps_ns,
+            make_layout(drive.robot, drive.sensors, drive.truth).parameters,
+        )
         self.notes: list[str] = []
         self._drive = drive
         self._options = options

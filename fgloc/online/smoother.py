@@ -42,6 +42,7 @@ from fgloc.online.priors import (
     prior_table,
 )
 from fgloc.online.settings import OnlineSettings
+from fgloc.online.surface import SurfaceWatch
 from fgloc.online.window import Window
 from fgloc.smoothing.minimise import CalibrationPrior, Point, minimise
 from fgloc.smoothing.problem import FIXES, HIDDEN, Problem
@@ -120,6 +121,7 @@ class WindowSmoother:
         self._pause = 1
         self.judged: list[Judged] = []
         self._keeper = Keeper(window)
+        self._surface = SurfaceWatch(window)
         # Landmarks put aside that the next update takes back into use.
         self.wanted: list[int] = []
         self._anew = False
@@ -421,6 +423,9 @@ class WindowSmoother:
             oldest = min(oldest, window.base + HELD // 2) if full else window.base
         elif self._unsettled:
             return {}
+        change = None if window.landmarks.used else self._surface.look(self.calibration)
+        if change is not None and change.number > window.base:
+            oldest = max(oldest, change.number)
         if oldest <= window.base:
             return {}
         prior = carried_prior(window, oldest)
@@ -436,8 +441,11 @@ class WindowSmoother:
         walk = self._settings.calibration_walk * np.sqrt(seconds)
         free = window.layout.parameters[: len(window.layout.free)]
         if walk > 0.0 and free:
-            sigma = np.array([p.solver_sigma for p in free])
-            window.prior, walked = after_walk(prior, window.layout.width, walk * sigma)
+            sigma = walk * np.array([p.solver_sigma for p in free])
+            if change is not None:
+                sigma = np.hypot(sigma, change.walk)
+                self._anew = True
+            window.prior, walked = after_walk(prior, window.layout.width, sigma)
             if aside.numbers:
                 aside.walk(walked, split(prior, aside.width)[2])
         return window.drop(oldest)

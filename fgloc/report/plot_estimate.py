@@ -10,7 +10,8 @@ import numpy as np
 from fgloc.estimator import Result
 from fgloc.report.calibration_table import state
 from fgloc.report.cells import fixed
-from fgloc.report.figures import colour, new_figure, save
+from fgloc.report.figures import TRUTH, colour, new_figure, save, style
+from fgloc.report.outcomes import DriveOutcome
 
 BELIEVED = 0.5
 """Residuals with a robust weight below this are marked as down-weighted."""
@@ -71,6 +72,48 @@ def plot_calibration(result: Result, path: Path) -> Path | None:
     axes.set_title(f"{result.drive}: calibration by {result.method}")
     axes.grid(axis="x", alpha=0.3)
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
+    return save(figure, path)
+
+
+def plot_turning(outcome: DriveOutcome, path: Path) -> Path | None:
+    """Draw the effective track over time ±2σ, method by method; return the PNG's path.
+
+    A method that tells one value for the whole drive is a band; the true value, where the drive is
+    simulated and keeps it, is a line. None if no method follows it.
+    """
+    histories = {m: o.result.turning for m, o in outcome.methods.items() if o.result.turning}
+    if not histories:
+        return None
+    first = next(iter(histories.values()))
+    figure = new_figure(9.0, 4.2)
+    axes = figure.add_subplot()
+    begin = int(first.stamps_ns[0])
+    for method, history in histories.items():
+        t = (history.stamps_ns - begin) * 1e-9
+        low, high = history.values - 2 * history.sigmas, history.values + 2 * history.sigmas
+        axes.fill_between(t, low, high, color=colour(method), alpha=0.2, lw=0)
+        axes.plot(t, history.values, color=colour(method), ls=style(method), lw=1.3, label=method)
+    for method, found in outcome.methods.items():
+        for c in found.result.calibration:
+            if method not in histories and c.name == first.name and math.isfinite(c.sigma):
+                axes.axhspan(
+                    c.value - 2 * c.sigma, c.value + 2 * c.sigma, color=colour(method), alpha=0.15
+                )
+                axes.axhline(c.value, color=colour(method), lw=1.0, label=f"{method}, whole drive")
+    axes.axhline(first.nominal, color="0.5", lw=1.0, ls=":", label="nominal")
+    true = (outcome.drive.true_calibration or {}).get(first.name)
+    if true is not None:
+        axes.axhline(true, color=TRUTH, lw=1.0, label="true at the start")
+    settled = np.concatenate([h.values[h.values.size // 10 :] for h in histories.values()])
+    spread = np.concatenate([h.sigmas[h.sigmas.size // 10 :] for h in histories.values()])
+    edges = [float(np.nanmin(settled - 3 * spread)), float(np.nanmax(settled + 3 * spread))]
+    edges += [v for v in (first.nominal, true) if v is not None]
+    axes.set_ylim(0.98 * min(edges), 1.02 * max(edges))
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel(f"{first.name} [{first.unit}]")
+    axes.set_title(f"{outcome.drive.name}: {first.name} over time, ±2σ")
+    axes.grid(alpha=0.3)
+    figure.legend(loc="outside lower center", ncols=5, frameon=False)
     return save(figure, path)
 
 

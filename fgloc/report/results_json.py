@@ -9,10 +9,12 @@ from typing import Any
 
 from fgloc import __version__
 from fgloc.core.evaluation import Evaluation
-from fgloc.estimator import Live, Spread
+from fgloc.estimator import Live, Spread, TurningHistory
 from fgloc.report.map_json import map_json
 from fgloc.report.outcomes import Comparison, DriveOutcome, MethodOutcome
 
+MOST_TURNING = 500
+"""Times at which the effective track is told."""
 START = "every method starts from the recorded truth's first pose (the origin without truth)"
 ALIGNMENT = "none; ate_aligned_rmse_m after the best planar rotation and shift"
 
@@ -99,7 +101,20 @@ def _method(outcome: MethodOutcome) -> dict[str, Any]:
         "convergence": result.convergence,
         "notes": list(result.notes),
         "online": None if result.live is None else _live(result.live),
+        "turning": None if result.turning is None else _turning(result.turning),
         "map": None if result.map is None else map_json(result.map),
+    }
+
+
+def _turning(history: TurningHistory) -> dict[str, Any]:
+    """Return the effective track over time, at most `MOST_TURNING` times."""
+    step = max(1, -(-history.stamps_ns.size // MOST_TURNING))
+    return {
+        "name": history.name,
+        "nominal": history.nominal,
+        "stamps_ns": history.stamps_ns[::step].tolist(),
+        "values": history.values[::step].tolist(),
+        "sigmas": history.sigmas[::step].tolist(),
     }
 
 

@@ -70,12 +70,13 @@ def write_run(
 
 def draw_figures(outcome: DriveOutcome, folder: Path) -> list[Path]:
     """Draw all figures of one drive into `folder`, which exists; return what was drawn."""
-    from fgloc.report.plot_estimate import plot_calibration, plot_residuals
+    from fgloc.report.plot_estimate import plot_calibration, plot_residuals, plot_turning
     from fgloc.report.plot_trajectory import plot_errors, plot_trajectory
 
     drawn = [
         plot_trajectory(outcome, folder / "trajectory.png"),
         plot_errors(outcome, folder / "errors.png"),
+        plot_turning(outcome, folder / "turning.png"),
     ]
     for method, found in outcome.methods.items():
         drawn.append(plot_calibration(found.result, folder / f"calibration-{method}.png"))
