@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from fgloc.calibration.advice import advice
 from fgloc.calibration.against_sensors import against_sensors
 from fgloc.calibration.evaluate import Mount, evaluate_drives
 from fgloc.calibration.models import choice, choices, mounting, same_robot
@@ -21,6 +22,8 @@ from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
 from fgloc.estimator import calibration_of
 
+HEADINGS = ("heading [rad]", "turned angle [rad]")
+"""First components of residuals that tell no distances."""
 COMPONENTS = ("x [m]", "y [m]", "heading [rad]")
 """What is compared along an open-loop path."""
 
@@ -65,6 +68,12 @@ def calibrate(
     else:
         report = against_sensors(used, settings.model, tell)
     seconds = time.perf_counter() - begin
+    # A gyro, a yaw sensor or the wheels alone tell of no distance.
+    wheels = {d.wheels.sensor for d in used}
+    places = wanted == "truth" or any(
+        r.components[0] not in HEADINGS and r.sensor not in wheels for r in report.residuals
+    )
+    told = advice(report.robot, report.parameters, report.covariance, places=places)
     mount = mount_of(report, used[0])
     known = [d for d in others if d.truth is not None]
     for d in others:
@@ -75,6 +84,7 @@ def calibrate(
     )
     return replace(
         report,
+        advice=told,
         evaluation=evaluation,
         total_nominal=before,
         total_value=after,

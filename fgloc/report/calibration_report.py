@@ -81,8 +81,9 @@ def _parts(report: CalibrationReport, fancy: bool) -> Iterator[RenderableType]:
 
 
 def _sentence(text: str) -> str:
-    """Return a text with a capital, unless it begins with a drive's id, and a full stop."""
-    first = text[0] if ":" in text.partition(" ")[0] else text[0].upper()
+    """Return a text with a capital, unless it begins with an id or a name, and a full stop."""
+    word = text.partition(" ")[0]
+    first = text[0] if any(mark in word for mark in ":_.") else text[0].upper()
     return f"{first}{text[1:]}{'' if text.endswith(('.', '?')) else '.'}"
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from fgloc.core.drive import Drive
 from fgloc.core.kinematics import Parameter
-from fgloc.core.measurements import Floats, Yaw, YawRate
+from fgloc.core.measurements import CameraPoses, Floats, Yaw, YawRate
 from fgloc.core.start import trim_to_truth
 from fgloc.factors.tables import Kind
 from fgloc.smoothing.build import build_problem
@@ -28,6 +28,8 @@ OBSERVED = 0.5
 """Part of a parameter's prior sigma below which it is observed."""
 GAIN = 0.3
 """A sensor is left out if the strain falls below this fraction without it."""
+FREE_SCALE = 0.3
+"""Prior sigma of the scale of a camera that contradicts the wheels beyond all priors."""
 ARBITERS = (Kind.POSITION_FIX, Kind.POSE_FIX, Kind.CAMERA)
 """Sensors that can tell who is right: they see neither magnetic fields nor the wheels."""
 
@@ -120,4 +122,46 @@ def solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Solutio
             looked = False
     if not looked:
         problem, solution = look_for_slip(problem, solution, settings)
+    freed = _with_free_scale(drive, settings, front, problem, solution)
+    if freed is not None:
+        problem, solution, note = freed
+        problem = replace(problem, notes=(*problem.notes, note))
     return problem, solution, notes
+
+
+def _with_free_scale(
+    drive: Drive,
+    settings: Settings,
+    front: Front | None,
+    problem: Problem,
+    solution: Solution,
+) -> tuple[Problem, Solution, str] | None:
+    """Solve with a camera that may be off by a third in scale, where it bends the robot; or None.
+
+    Wheels and a camera that disagree about distances by more than both their priors allow cannot
+    both be right, and no gyro tells who is. A ruler measured the wheels; so it is taken to be the
+    camera, and said that it may be otherwise. Position fixes decide by themselves.
+    """
+    far = stretch(problem, solution)
+    cameras = [s for s in drive.sensors if isinstance(s, CameraPoses) and s.scale_sigma > 0.0]
+    if far < STRETCHED or not cameras:
+        return None
+    wide = tuple(
+        replace(s, scale_sigma=max(s.scale_sigma, FREE_SCALE)) if s in cameras else s
+        for s in drive.sensors
+    )
+    other, trial = _solve(replace(drive, sensors=wide), settings, front)
+    other, trial = look_for_slip(other, trial, settings)
+    if stretch(other, trial) > 0.5 * far:
+        return None
+    names = [p.name for p in other.parameters]
+    told = []
+    for s in cameras:
+        k = names.index(f"{s.sensor}_scale")
+        told.append(f"{s.sensor}_scale is {other.parameters[k].to_value(trial.point.u[k]):.3f}")
+    note = (
+        f"{' and '.join(s.sensor for s in cameras)} could only be right in scale if the robot's "
+        f"calibration were {far:.1f} prior sigmas from nominal; its scale was freed, and "
+        f"{', '.join(told)} if the wheels are as described; position fixes would tell"
+    )
+    return other, trial, note
