@@ -93,7 +93,7 @@ def test_a_killed_drive_is_resumed_as_if_nothing_had_been(
     assert f"{labels['poses']} poses are from before the interruption" in shown.out
     # The file holds what the result holds.
     rows = np.fromfile(tmp_path / POSES, RECORD)
-    assert RECORD.itemsize == 104
+    assert RECORD.itemsize == 120
     assert rows["stamp_ns"].tolist() == uninterrupted.stamps_ns.tolist()
     assert np.array_equal(rows["pose"], uninterrupted.poses)
     # A finished drive is resumed in no time, with the same result, and may be begun anew.
