@@ -73,10 +73,7 @@ def _parts(report: CalibrationReport, fancy: bool) -> Iterator[RenderableType]:
             change = f", {100.0 * (after / before - 1.0):+.1f} %" if before > 0.0 else ""
             yield f"Total error (m + rad): {before:.4f} → {after:.4f}{change}"
         yield ""
-    yield from (f"{text[0].upper()}{text[1:]}" for text in report.advice)
-    yield from (
-        f"{text[0].upper()}{text[1:]}{'' if text.endswith('.') else '.'}" for text in report.notes
-    )
+    yield from (_sentence(text) for text in (*report.advice, *report.notes))
     yield from far_from_prior("the calibration", report.parameters)
 
 

@@ -111,7 +111,7 @@ def plot_turning(outcome: DriveOutcome, path: Path) -> Path | None:
     axes.set_ylim(0.98 * min(edges), 1.02 * max(edges))
     axes.set_xlabel("time [s]")
     axes.set_ylabel(f"{first.name} [{first.unit}]")
-    axes.set_title(f"{outcome.drive.name}: {first.name} over time, ±2σ")
+    axes.set_title(f"{outcome.drive.name}\n{first.name} over time, ±2σ", fontsize="medium")
     axes.grid(alpha=0.3)
     figure.legend(loc="outside lower center", ncols=5, frameon=False)
     return save(figure, path)
