@@ -15,6 +15,7 @@ MODULES: dict[str, str] = {
     "seed-d-calibration": "fgloc.experiments.seed_d.calibration",
     "calibration": "fgloc.experiments.calibration.recorded",
     "slip": "fgloc.experiments.slip",
+    "faults": "fgloc.experiments.faults",
     "seed-b": "fgloc.experiments.rooms.seed_b",
     "seed-c": "fgloc.experiments.rooms.seed_c",
     "csail": "fgloc.experiments.csail",

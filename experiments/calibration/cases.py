@@ -125,6 +125,22 @@ def other_cases(data: Path | None) -> list[Case]:
     return found
 
 
+def sensor_cases(data: Path | None) -> list[Case]:
+    """Return the robots without a truth: ground by ground, and two wheels with a laser."""
+    found = []
+    for ground in ("ASPHALT", "FLOORING", "ICE"):
+        fit = _there([f"borealtc-husky:{ground}/*"], data)
+        if fit:
+            found.append(Case("surfaces", f"Husky, {ground.lower()}", fit, ()))
+    for drive in _there(["penn-skidsteer:*"], data):
+        found.append(Case("surfaces", f"Penn, run {drive.partition(':')[2]}", (drive,), ()))
+    for run in ("lmov", "lstraight"):
+        fit = _there([f"censi-calibration:{run}"], data)
+        if fit:
+            found.append(Case("censi", run, fit, ()))
+    return found
+
+
 def _there(patterns: Sequence[str], data: Path | None) -> tuple[str, ...]:
     """Return the drives of patterns; those without any are left out."""
     found: list[str] = []

@@ -10,29 +10,41 @@ from fgloc.experiments.calibration.cases import (
     optiodom_cases,
     other_cases,
     run_case,
+    sensor_cases,
     swerve_cases,
 )
 from fgloc.experiments.calibration.figures import paths_figure, residual_figure
 from fgloc.experiments.calibration.tables import (
+    censi_table,
     jackal_table,
     models_table,
     optiodom_table,
     polimi_table,
+    surfaces_table,
     swerve_table,
 )
 from fgloc.experiments.experiment import Context, Experiment
 from fgloc.report.experiment_report import Report
 
-NEEDS = ("vitko-swerve", "optiodom", "jackal-jackass", "polimi-mecanum")
-"""Recordings with truth of four kinds of robots."""
+NEEDS = (
+    "vitko-swerve",
+    "optiodom",
+    "jackal-jackass",
+    "polimi-mecanum",
+    "censi-calibration",
+    "borealtc-husky",
+    "penn-skidsteer",
+)
+"""Recordings with a truth, a matched laser, or a gyro."""
 
 
 def run(context: Context) -> Report:
-    """Return the tables of whatever runs of the four recordings are on this machine."""
+    """Return the tables of whatever runs of the recordings are on this machine."""
     cases = [
         *swerve_cases(context.data),
         *optiodom_cases(context.data),
         *other_cases(context.data),
+        *sensor_cases(context.data),
     ]
     found = context.map(run_case, [(c, context.data) for c in cases], describe)
     chosen = [o for o in found if o.case.model is None]
@@ -43,6 +55,8 @@ def run(context: Context) -> Report:
             optiodom_table(_of("optiodom", found)),
             jackal_table(_of("jackal", found)),
             polimi_table(_of("polimi", found)),
+            censi_table(_of("censi", found)),
+            surfaces_table(_of("surfaces", found)),
             models_table(chosen),
         ),
         (

@@ -181,6 +181,110 @@ def polimi_table(outcomes: Sequence[Outcome]) -> Table:
     )
 
 
+def surfaces_table(outcomes: Sequence[Outcome]) -> Table:
+    """Return effective tracks against the gyro, ground by ground."""
+    rows = []
+    for o in outcomes:
+        track = next(p for p in o.report.parameters if p.name == "effective_track")
+        radius = next(p for p in o.report.parameters if p.name.startswith("wheel_radius"))
+        k, r = o.report.parameters.index(track), o.report.parameters.index(radius)
+        covariance = o.report.covariance
+        # The radius is as unknown on one ground as on the next: it does not tell them apart.
+        variance = (
+            covariance[k, k] / track.value**2
+            + covariance[r, r] / radius.value**2
+            - 2.0 * covariance[k, r] / (track.value * radius.value)
+        )
+        rows.append(
+            Row(
+                (o.case.title,),
+                {
+                    "drives": Cell(len(o.case.fit), 0),
+                    "track": Cell(track.value, 3),
+                    "sigma": Cell(track.sigma, 3),
+                    "apart": Cell(100.0 * math.sqrt(max(float(variance), 0.0)), 1),
+                },
+            )
+        )
+    return Table(
+        "surfaces",
+        "Effective track against the gyro, wheels and gyro in one graph",
+        ("robot and ground",),
+        (
+            Column("drives", "drives"),
+            Column("track", "effective track", "m"),
+            Column("sigma", "±σ", "m"),
+            Column("apart", "±σ beside another ground of the robot", "%"),
+        ),
+        tuple(rows),
+        (
+            "The Husky's stamps are row numbers; on them asphalt seems to have 1.4 m. With the "
+            "wheels laid over the gyro the grounds differ by no more than runs on one of them do.",
+        ),
+    )
+
+
+CENSI = {
+    "lmov": (
+        (0.0414217, 0.0415888, 0.0883953, -0.00587095, -0.0387078, -1.86026),
+        (5.94e-4, 5.77e-4, 1.2503e-3, 1.261e-3, 6.73e-4, 2.0873e-2),
+    ),
+    "lstraight": (
+        (0.0417709, 0.0418957, 0.0890519, -0.00581279, 0.000185606, 0.00949588),
+        (9.81e-5, 9.84e-5, 2.094e-4, 7.50e-5, 1.125e-4, 1.5624e-3),
+    ),
+}
+"""Published answers: diameters left and right, axle [m], laser x, y [m], yaw [rad]; their sigmas
+(the published covariance is in radii)."""
+
+
+def censi_table(outcomes: Sequence[Outcome]) -> Table:
+    """Return axle, diameters and laser pose beside the published ones."""
+    rows = []
+    for o in outcomes:
+        values = {p.name: p for p in o.report.parameters}
+        found = [
+            2.0 * values["wheel_radius.left"].value,
+            2.0 * values["wheel_radius.right"].value,
+            *(values[n].value for n in ("effective_track", "laser_x", "laser_y", "laser_yaw")),
+        ]
+        sigmas = [
+            2.0 * values["wheel_radius.left"].sigma,
+            2.0 * values["wheel_radius.right"].sigma,
+            *(values[n].sigma for n in ("effective_track", "laser_x", "laser_y", "laser_yaw")),
+        ]
+        names = ("left diameter", "right diameter", "axle", "laser x", "laser y", "laser yaw")
+        published, spread = CENSI[o.case.title]
+        for name, value, sigma, printed, allowed in zip(
+            names, found, sigmas, published, spread, strict=True
+        ):
+            rows.append(
+                Row(
+                    (o.case.title, name),
+                    {
+                        "found": Cell(value, 5),
+                        "sigma": Cell(sigma, 5),
+                        "printed": Cell(printed, 5),
+                        "spread": Cell(allowed, 5),
+                        "off": Cell(abs(value - printed) / allowed, 2, target=3.0),
+                    },
+                )
+            )
+    return Table(
+        "censi",
+        "Khepera III: wheels and laser displacements alone, in m and rad",
+        ("run", "parameter"),
+        (
+            Column("found", "found"),
+            Column("sigma", "±σ"),
+            Column("printed", "published value"),
+            Column("spread", "published ±σ"),
+            Column("off", "off, in published σ"),
+        ),
+        tuple(rows),
+    )
+
+
 def models_table(outcomes: Sequence[Outcome]) -> Table:
     """Return for every fit that chose what each model is worth on drives left out."""
     ids = list(dict.fromkeys(c.id for o in outcomes for c in o.report.candidates))

@@ -131,8 +131,10 @@ class PathFit:
 
 def rows_of(data: PathData, model: Model, u: Floats, local: Floats) -> Rows:
     """Return residuals and derivatives of one drive; see `Rows`. Raises FglocError as `path`."""
-    clock = (local[0] * OFFSET_SIGMA_S, local[1] * RATE_SIGMA) if model.clock else (0.0, 0.0)
-    clock = (clock[0] + model.time_offset(u), clock[1])
+    clock = None
+    if model.clock or model.offset:
+        own = (local[0] * OFFSET_SIGMA_S, local[1] * RATE_SIGMA) if model.clock else (0.0, 0.0)
+        clock = (own[0] + model.time_offset(u), own[1])
     found = path(data, model.robot, model.values(u), model.mounting(u, data), clock)
     return Rows(found.residual, _by_shared(found, model, u), _by_local(found, data, model))
 
@@ -160,8 +162,15 @@ def _by_local(found: Path, data: PathData, model: Model) -> Floats:
     return np.concatenate([by_time * OFFSET_SIGMA_S, late], axis=2)
 
 
-def fit_paths(data: Sequence[PathData], model: Model, begin: Floats | None = None) -> PathFit:
+def fit_paths(
+    data: Sequence[PathData],
+    model: Model,
+    begin: Floats | None = None,
+    most: int = ROUNDS,
+) -> PathFit:
     """Return the parameters that fit all drives best; `begin` (G,) is where the search starts.
+
+    `most` steps are taken at most.
 
     Levenberg–Marquardt; sizes and weights are estimated anew after every step. O(N·P) an
     evaluation in compiled code, five to ten of them. Raises FglocError where the wheels do not
@@ -173,7 +182,7 @@ def fit_paths(data: Sequence[PathData], model: Model, begin: Floats | None = Non
     size, weights = BEGIN.copy(), np.ones(len(data))
     rows = [rows_of(d, model, u, v) for d, v in zip(data, local, strict=True)]
     damping, evaluations, converged = 0.0, 1, False
-    for round_ in range(ROUNDS):
+    for round_ in range(most):
         if round_:
             size, weights = sizes(data, rows, weights)
         cost = _cost(rows, u, local, size, weights, prior)

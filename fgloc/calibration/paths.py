@@ -17,8 +17,8 @@ import numpy as np
 from fgloc.core.drive import Drive
 from fgloc.core.evaluation import MAX_GAP_S
 from fgloc.core.geometry import compose
-from fgloc.core.measurements import Floats, Stamps
-from fgloc.core.preintegration import preintegrate, split_at
+from fgloc.core.measurements import Floats, Stamps, WheelIncrements
+from fgloc.core.preintegration import SplitIncrements, preintegrate, split_at
 from fgloc.core.robot import Robot
 from fgloc.core.start import start_pose, trim_to_truth
 from fgloc.errors import FglocError
@@ -39,6 +39,8 @@ class PathData:
     """(M,) times of the points since then, by the reference's clock [s]."""
     truth: Floats
     """(M, 3) recorded poses of the reference there; headings go on without leaps."""
+    split: SplitIncrements
+    """The wheels' increments, cut at the points."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,8 @@ class Path:
     by_mount: Floats
     """(M, 3, 3) derivative by the mounting x, y [m], yaw [rad] of the reference."""
     by_time: Floats
-    """(M, 3) derivative by the time at which the wheels are looked at [1/s]."""
+    """(M, 3) derivative by the time at which the wheels are looked at [1/s]; zeros where that was
+    not asked for."""
 
 
 def path_data(drive: Drive, points: int = POINTS) -> PathData:
@@ -81,9 +84,8 @@ def path_data(drive: Drive, points: int = POINTS) -> PathData:
     truth = np.column_stack([known.poses[at, :2], heading[at]])
     first = heading[max(int(np.searchsorted(known.stamps_ns, begin, side="right")) - 1, 0)]
     truth[:, 2] += 2.0 * np.pi * np.round((start[2] - first) / (2.0 * np.pi))
-    return PathData(
-        drive, start, np.asarray((known.stamps_ns[at] - begin) * 1e-9), np.asarray(truth)
-    )
+    seconds = np.asarray((known.stamps_ns[at] - begin) * 1e-9)
+    return PathData(drive, start, seconds, np.asarray(truth), _split(drive.wheels, seconds))
 
 
 def pieces(data: PathData, count: int) -> list[PathData]:
@@ -117,17 +119,23 @@ def path(
     robot: Robot,
     values: Floats,
     mount: Floats,
-    clock: tuple[float, float] = (0.0, 0.0),
+    clock: tuple[float, float] | None = None,
 ) -> Path:
     """Return the open-loop path with these parameter values (P,) and its derivatives.
 
     `mount` (3,) is where the reference sits on the base, `clock` = (offset [s], rate [1]) says at
-    which time the wheels are looked at: t + offset + rate·t. O(N·P) in compiled code. Raises
-    FglocError if the wheels do not determine the motion.
+    which time the wheels are looked at: t + offset + rate·t, None: at the time of each point.
+    O(N·P) in compiled code. Raises FglocError if the wheels do not determine the motion.
     """
-    wanted = data.seconds + clock[0] + clock[1] * data.seconds
+    wanted = data.seconds
+    if clock is not None:
+        wanted = data.seconds + clock[0] + clock[1] * data.seconds
     seconds = np.clip(wanted, 0.0, _last(data))
-    moved, by_values = _displacement(data, robot, values, seconds)
+    order = np.argsort(seconds, kind="stable")
+    split = data.split if clock is None else _split(data.drive.wheels, seconds[order])
+    moved, by_values = _displacement(split, robot, values)
+    unsorted = np.argsort(order, kind="stable")
+    moved, by_values = moved[unsorted], by_values[unsorted]
     turned, t = _rotation(moved[:, 2]), mount[:2]
     back = _rotation(np.array([-mount[2]]))[0]
     arm = turned @ t - t
@@ -145,12 +153,13 @@ def path(
     by_mount = np.zeros((seconds.size, 3, 3))
     by_mount[:, :2, :2] = both @ (turned - np.eye(2))
     by_mount[:, :2, 2] = np.stack([q[:, 1], -q[:, 0]], axis=1) @ ahead.T
-    twist = _twist(data, robot, values, seconds)
-    by_time = np.empty((seconds.size, 3))
-    velocity = np.einsum("mab,mb->ma", turned, twist[:, :2]) + swung * twist[:, 2:3]
-    by_time[:, :2] = velocity @ both.T
-    by_time[:, 2] = twist[:, 2]
-    by_time[seconds != wanted] = 0.0
+    by_time = np.zeros((seconds.size, 3))
+    if clock is not None:
+        twist = _twist(data, robot, values, seconds)
+        velocity = np.einsum("mab,mb->ma", turned, twist[:, :2]) + swung * twist[:, 2:3]
+        by_time[:, :2] = velocity @ both.T
+        by_time[:, 2] = twist[:, 2]
+        by_time[seconds != wanted] = 0.0
     return Path(residual, value, by_mount, by_time)
 
 
@@ -160,15 +169,15 @@ def _last(data: PathData) -> float:
     return float(stamps[-1] - stamps[0]) * 1e-9
 
 
-def _displacement(
-    data: PathData, robot: Robot, values: Floats, seconds: Floats
-) -> tuple[Floats, Floats]:
-    """Return the base's (M, 3) displacements from the start and their derivatives (M, 3, P)."""
-    wheels = data.drive.wheels
-    order = np.argsort(seconds, kind="stable")
-    at: Stamps = wheels.stamps_ns[0] + np.round(seconds[order] * 1e9).astype(np.int64)
+def _split(wheels: WheelIncrements, seconds: Floats) -> SplitIncrements:
+    """Return the increments cut at times (M,) since the first stamp, in order."""
+    at: Stamps = wheels.stamps_ns[0] + np.round(seconds * 1e9).astype(np.int64)
     at = np.minimum(at, wheels.stamps_ns[-1])
-    split = split_at(wheels, np.concatenate([wheels.stamps_ns[:1], at]))
+    return split_at(wheels, np.concatenate([wheels.stamps_ns[:1], at]))
+
+
+def _displacement(split: SplitIncrements, robot: Robot, values: Floats) -> tuple[Floats, Floats]:
+    """Return the base's (M, 3) displacements from the start and their derivatives (M, 3, P)."""
     pre = preintegrate(split, robot, values)
     step, d = pre.displacement, pre.jacobian
     heading = np.concatenate([[0.0], np.cumsum(step[:, 2])])
@@ -183,8 +192,7 @@ def _displacement(
         axis=0,
     )
     jacobian[:, 2] = by_heading[1:]
-    unsorted = np.argsort(order, kind="stable")
-    return moved[unsorted], jacobian[unsorted]
+    return moved, jacobian
 
 
 def _twist(data: PathData, robot: Robot, values: Floats, seconds: Floats) -> Floats:

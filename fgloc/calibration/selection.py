@@ -21,6 +21,8 @@ PIECES = 6
 """Pieces that few drives are cut into, each, for choosing a model."""
 NO_WORSE = 0.03
 """A simpler model is taken if the error left out grows by no more than this part."""
+LOOK = 2
+"""Steps of a fit that only tells whether clocks are worth a search."""
 LATE_S = 0.1
 """Offsets of clocks that matter [s]."""
 LATE_SIGMA = 2.5
@@ -146,11 +148,14 @@ def _with_offset(
     data: Sequence[PathData], parts: Sequence[PathData], fit: PathFit
 ) -> tuple[PathFit, tuple[str, ...]]:
     """Return the fit with one time offset for all drives, where that predicts drives left out."""
-    late = fit_paths(data, replace(fit.model, offset=(TIME_OFFSET,)), np.append(fit.u, 0.0))
-    offset = TIME_OFFSET.to_value(float(late.u[-1]))
-    sigma = float(np.sqrt(late.covariance[-1, -1])) * TIME_OFFSET.scale
-    if abs(offset) < LATE_SIGMA * sigma:
-        return fit, ()
+    model = replace(fit.model, offset=(TIME_OFFSET,))
+    late = fit_paths(data, model, np.append(fit.u, 0.0), LOOK)
+    for last in (False, True):
+        offset = TIME_OFFSET.to_value(float(late.u[-1]))
+        sigma = float(np.sqrt(late.covariance[-1, -1])) * TIME_OFFSET.scale
+        if abs(offset) < LATE_SIGMA * sigma:
+            return fit, ()
+        late = late if last else fit_paths(data, model, late.u)
     whole = len(parts) == len(data)
     first = replace(fit.model, mount=())
     nominal = errors(open_loop(parts, first, np.zeros(len(first.parameters))))
@@ -167,15 +172,26 @@ def _with_offset(
     return late, (note,)
 
 
+def _differ(fit: PathFit) -> bool:
+    """Return whether enough drives show that their clocks differ."""
+    offset = np.array([v[0] for v in fit.local]) * OFFSET_SIGMA_S
+    sigma = np.array([s[0] for s in fit.local_sigma]) * OFFSET_SIGMA_S
+    late = np.abs(offset) > np.maximum(LATE_S, LATE_SIGMA * sigma)
+    return float(np.mean(late)) >= LATE_DRIVES
+
+
 def _with_clocks(
     data: Sequence[PathData], fit: PathFit
 ) -> tuple[PathFit, tuple[ClockFit, ...], tuple[str, ...]]:
     """Return the fit with the clocks free where they differ, and by how much they do."""
-    free = fit_paths(data, replace(fit.model, clock=True), fit.u)
+    model = replace(fit.model, clock=True)
+    # Two steps tell whether it is worth a search.
+    free = fit_paths(data, model, fit.u, LOOK)
+    if not _differ(free):
+        return fit, (), ()
+    free = fit_paths(data, model, free.u)
     offset = np.array([v[0] for v in free.local]) * OFFSET_SIGMA_S
-    sigma = np.array([s[0] for s in free.local_sigma]) * OFFSET_SIGMA_S
-    late = np.abs(offset) > np.maximum(LATE_S, LATE_SIGMA * sigma)
-    if float(np.mean(late)) < LATE_DRIVES:
+    if not _differ(free):
         return fit, (), ()
     clocks = tuple(
         ClockFit(
