@@ -97,3 +97,20 @@ def test_a_drive_with_nothing_but_two_wheels_is_refused() -> None:
     bare = Drive("bare", replace(drive.robot, base=base), wheels)
     with pytest.raises(FglocError, match="nothing to compare its wheels with"):
         calibrate([bare])
+
+
+def test_drives_of_different_robots_are_refused() -> None:
+    from fgloc.core.bases import differential
+
+    drive = simulated(1)
+    two = differential(0.1, 0.1, 0.5)
+    wheels = replace(
+        drive.wheels,
+        wheels=two.driven_names,
+        angles=np.ascontiguousarray(drive.wheels.angles[:, :2]),
+    )
+    other = Drive("other", replace(drive.robot, base=two), wheels)
+    with pytest.raises(FglocError, match="other is of another robot than"):
+        fit_graph([drive, other])
+    with pytest.raises(FglocError, match="no drive"):
+        fit_graph([])
