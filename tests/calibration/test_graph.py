@@ -14,7 +14,9 @@ from fgloc.core.kinematics import prior_covariance
 from fgloc.datasets.registry import load_drive
 from fgloc.errors import FglocError
 from fgloc.smoothing.batch import BatchSmoother
+from fgloc.smoothing.minimise import minimise
 from fgloc.smoothing.settings import Settings
+from fgloc.smoothing.trust import solve_with_trust
 
 QUADRATIC = Settings(robust=False, slip=None)
 
@@ -114,3 +116,18 @@ def test_drives_of_different_robots_are_refused() -> None:
         fit_graph([drive, other])
     with pytest.raises(FglocError, match="no drive"):
         fit_graph([])
+
+
+@pytest.mark.parametrize("settings", [Settings(), QUADRATIC])
+def test_one_drive_jointly_is_the_minimum_of_its_own_problem(settings: Settings) -> None:
+    settings = replace(settings, tolerance=1e-13)
+    drive = simulated(1)
+    joint = fit_graph([drive], settings)
+    problem, solution, _ = solve_with_trust(drive, settings)
+    # From a minimum: the wheels' noise is weighed where a search begins.
+    point = solution.point
+    for _ in range(4):
+        point, _, _ = minimise(problem, settings, point.states, point.u, settings.robust)
+    names = [p.name for p in problem.parameters]
+    alone = point.u[[names.index(p.name) for p in joint.parameters]]
+    np.testing.assert_allclose(joint.u, alone, atol=1e-6)
