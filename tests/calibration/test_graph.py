@@ -11,6 +11,7 @@ from fgloc.calibration.calibrate import CalibrationSettings, calibrate
 from fgloc.calibration.graph import fit_graph
 from fgloc.core.drive import Drive
 from fgloc.core.kinematics import prior_covariance
+from fgloc.core.measurements import CameraPoses
 from fgloc.datasets.registry import load_drive
 from fgloc.errors import FglocError
 from fgloc.smoothing.batch import BatchSmoother
@@ -131,3 +132,21 @@ def test_one_drive_jointly_is_the_minimum_of_its_own_problem(settings: Settings)
     names = [p.name for p in problem.parameters]
     alone = point.u[[names.index(p.name) for p in joint.parameters]]
     np.testing.assert_allclose(joint.u, alone, atol=1e-6)
+
+
+@pytest.mark.parametrize("off", [2.0, 3.0, -3.1])
+def test_a_mount_described_the_other_way_round_is_found_from_a_start(off: float) -> None:
+    drive = simulated(3, "gyro=on&yaw=off&camera=on&slip=off")
+    assert drive.true_calibration is not None
+    start = {k: v for k, v in drive.true_calibration.items() if k.startswith("camera_")}
+    sensors = tuple(
+        replace(s, mount=(s.mount[0], s.mount[1], s.mount[2] + off), mount_sigma=(0.2, 0.2, 3.14))
+        if isinstance(s, CameraPoses)
+        else s
+        for s in drive.sensors
+    )
+    fit = fit_graph([replace(drive, sensors=sensors)], start=start)
+    k = [p.name for p in fit.parameters].index("camera_yaw")
+    error = fit.parameters[k].to_value(float(fit.u[k])) - start["camera_yaw"]
+    assert fit.converged
+    assert abs(error) < 4.0 * float(np.sqrt(fit.covariance[k, k]))
