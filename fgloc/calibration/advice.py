@@ -89,10 +89,10 @@ def advice(
     if rest:
         found[""] = rest
     sentences = []
-    for motion, names in found.items():
+    for driven, names in found.items():
         who = f"{_listed(names)} {'is' if len(names) == 1 else 'are'} not observed"
-        if motion:
-            sentences.append(f"{who}: drive {motion}.")
+        if driven:
+            sentences.append(f"{who}: drive {driven}.")
         elif places:
             sentences.append(f"{who}, and no simple motion against this reference would tell.")
         else:
