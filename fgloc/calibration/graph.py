@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fgloc.calibration.models import same_robot
 from fgloc.calibration.result import DriveResiduals
 from fgloc.core.drive import Drive
 from fgloc.core.kinematics import Parameter, prior_covariance
@@ -56,7 +57,7 @@ class GraphFit:
     sensors: tuple[str, ...]
     """Sensors that were used in some drive, wheels excluded."""
     notes: tuple[str, ...]
-    """Sensors that were left out, drive by drive."""
+    """Drives that describe the robot otherwise; sensors that were left out, drive by drive."""
     rounds: int
     """How often all drives were minimised."""
     converged: bool
@@ -91,9 +92,12 @@ def fit_graph(
     Each drive is first solved alone (`solve_with_trust`), which decides which sensors are believed
     and where wheels slip. `start` are values by parameter name where the search begins (a closed
     form, say); the prior stays where it is. `tell` hears of progress. A few solves a drive.
-    Raises FglocError for drives of different robots, and as the batch smoother does.
+    Raises FglocError for no drive or drives of different robots, and as the batch smoother does.
     """
+    if not drives:
+        raise FglocError("no drive to calibrate on was given")
     settings = Settings() if settings is None else settings
+    drives, described_otherwise = same_robot(drives)
     begun = [_begin(d, start) for d in drives]
     leaves, parameters, notes = _leaves(drives, begun, settings, tell)
     prior = np.asarray(np.linalg.inv(prior_covariance(parameters)), dtype=np.float64)
@@ -130,7 +134,7 @@ def fit_graph(
         covariance,
         tuple(r for leaf in leaves for r in _residuals(leaf)),
         tuple(sorted(sensors)),
-        tuple(notes),
+        (*described_otherwise, *notes),
         rounds,
         converged,
     )

@@ -11,10 +11,13 @@ from fgloc.calibration.calibrate import CalibrationSettings, calibrate
 from fgloc.calibration.graph import fit_graph
 from fgloc.core.drive import Drive
 from fgloc.core.kinematics import prior_covariance
+from fgloc.core.measurements import CameraPoses
 from fgloc.datasets.registry import load_drive
 from fgloc.errors import FglocError
 from fgloc.smoothing.batch import BatchSmoother
+from fgloc.smoothing.minimise import minimise
 from fgloc.smoothing.settings import Settings
+from fgloc.smoothing.trust import solve_with_trust
 
 QUADRATIC = Settings(robust=False, slip=None)
 
@@ -97,3 +100,53 @@ def test_a_drive_with_nothing_but_two_wheels_is_refused() -> None:
     bare = Drive("bare", replace(drive.robot, base=base), wheels)
     with pytest.raises(FglocError, match="nothing to compare its wheels with"):
         calibrate([bare])
+
+
+def test_drives_of_different_robots_are_refused() -> None:
+    from fgloc.core.bases import differential
+
+    drive = simulated(1)
+    two = differential(0.1, 0.1, 0.5)
+    wheels = replace(
+        drive.wheels,
+        wheels=two.driven_names,
+        angles=np.ascontiguousarray(drive.wheels.angles[:, :2]),
+    )
+    other = Drive("other", replace(drive.robot, base=two), wheels)
+    with pytest.raises(FglocError, match="other is of another robot than"):
+        fit_graph([drive, other])
+    with pytest.raises(FglocError, match="no drive"):
+        fit_graph([])
+
+
+@pytest.mark.parametrize("settings", [Settings(), QUADRATIC])
+def test_one_drive_jointly_is_the_minimum_of_its_own_problem(settings: Settings) -> None:
+    settings = replace(settings, tolerance=1e-13)
+    drive = simulated(1)
+    joint = fit_graph([drive], settings)
+    problem, solution, _ = solve_with_trust(drive, settings)
+    # From a minimum: the wheels' noise is weighed where a search begins.
+    point = solution.point
+    for _ in range(4):
+        point, _, _ = minimise(problem, settings, point.states, point.u, settings.robust)
+    names = [p.name for p in problem.parameters]
+    alone = point.u[[names.index(p.name) for p in joint.parameters]]
+    np.testing.assert_allclose(joint.u, alone, atol=1e-6)
+
+
+@pytest.mark.parametrize("off", [2.0, 3.0, -3.1])
+def test_a_mount_described_the_other_way_round_is_found_from_a_start(off: float) -> None:
+    drive = simulated(3, "gyro=on&yaw=off&camera=on&slip=off")
+    assert drive.true_calibration is not None
+    start = {k: v for k, v in drive.true_calibration.items() if k.startswith("camera_")}
+    sensors = tuple(
+        replace(s, mount=(s.mount[0], s.mount[1], s.mount[2] + off), mount_sigma=(0.2, 0.2, 3.14))
+        if isinstance(s, CameraPoses)
+        else s
+        for s in drive.sensors
+    )
+    fit = fit_graph([replace(drive, sensors=sensors)], start=start)
+    k = [p.name for p in fit.parameters].index("camera_yaw")
+    error = fit.parameters[k].to_value(float(fit.u[k])) - start["camera_yaw"]
+    assert fit.converged
+    assert abs(error) < 4.0 * float(np.sqrt(fit.covariance[k, k]))
