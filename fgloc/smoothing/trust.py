@@ -26,6 +26,14 @@ STRETCHED = 3.5
 """Prior sigmas at which an observed calibration is not believed."""
 OBSERVED = 0.5
 """Part of a parameter's prior sigma below which it is observed."""
+HALF = 0.5
+"""Robust weight below which a factor is doubted."""
+AT_ODDS = 0.2
+"""Share of doubted factors of fixes and cameras that calls for a trial."""
+STRANGE = 6.0
+"""Prior sigmas at which a sensor's own drift is not believed."""
+SAME = 0.05
+"""Strain that may be more without a sensor that is strange for itself."""
 GAIN = 0.3
 """A sensor is left out if the strain falls below this fraction without it."""
 FREE_SCALE = 0.3
@@ -46,6 +54,24 @@ def strain(solution: Solution) -> float:
             cost += float(np.sum(table.loss.cost(rows.squared)))
             count += rows.residual.size
     return cost / max(count, 1)
+
+
+def doubted(solution: Solution) -> float:
+    """Return the share of the factors of fixes and cameras with less than half their weight."""
+    weights = [
+        w
+        for table, w in zip(solution.point.tables, solution.point.weights, strict=True)
+        if table.kind in ARBITERS and table.sensor != "start"
+    ]
+    return float(np.mean(np.concatenate(weights) < HALF)) if weights else 0.0
+
+
+def bent(sensor: str, problem: Problem, solution: Solution) -> float:
+    """Return how many prior sigmas a heading sensor's constant drift was pulled away."""
+    for k, p in enumerate(problem.parameters):
+        if p.name == f"{sensor}_drift":
+            return abs(float(solution.point.u[k])) / p.solver_sigma
+    return 0.0
 
 
 def stretch(problem: Problem, solution: Solution) -> float:
@@ -97,12 +123,16 @@ def solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Solutio
     looked = False
     suspects = [s.sensor for s in drive.sensors if isinstance(s, Yaw | YawRate)]
     for suspect in suspects:
-        if not looked and strain(solution) < STRAINED:
+        believed = strain(solution) < STRAINED and doubted(solution) < AT_ODDS
+        if not looked and believed:
             problem, solution = look_for_slip(problem, solution, settings)
             looked = True
         before, far = strain(solution), stretch(problem, solution)
-        if before < STRAINED and far < STRETCHED:
-            break
+        lost, own = doubted(solution), bent(suspect, problem, solution)
+        arbiter = any(t.kind in ARBITERS and t.sensor != "start" for t in problem.tables)
+        own = own if arbiter else 0.0
+        if before < STRAINED and far < STRETCHED and lost < AT_ODDS and own < STRANGE:
+            continue
         less = replace(drive, sensors=tuple(s for s in drive.sensors if s.sensor != suspect))
         other, trial = _solve(less, settings, front)
         after = strain(trial)
@@ -116,6 +146,16 @@ def solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Solutio
                 f"{suspect} could only be right if the robot's calibration were {far:.1f} "
                 "prior sigmas from nominal, and was left out; if the robot is like that, say so "
                 "with --robot"
+            )
+        elif lost >= AT_ODDS and doubted(trial) < GAIN * lost:
+            notes[suspect] = (
+                f"{suspect} contradicts the absolute sensors and was left out: without it "
+                f"{doubted(trial):.0%} of their factors are doubted, not {lost:.0%}"
+            )
+        elif own >= STRANGE and after <= before + SAME:
+            notes[suspect] = (
+                f"{suspect} could only be right if it drifted {own:.0f} prior sigmas fast, and was "
+                "left out; if it does, say so in its noise"
             )
         if suspect in notes:
             drive, problem, solution = less, other, trial
