@@ -68,11 +68,12 @@ def _pool(number: int) -> Iterator[ProcessPoolExecutor]:
     try:
         yield pool
     except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
         # Waiting for a job that nobody wants any more could take minutes.
         for child in set(multiprocessing.active_children()) - before:
             child.terminate()
-            child.join()
+        # The pool's own thread reaps the processes; doing it here as well, one of the two may
+        # return before the other has noted the end.
+        pool.shutdown(wait=True, cancel_futures=True)
         raise
     pool.shutdown(wait=True)
 
