@@ -68,11 +68,4 @@ def cut(drive: Drive, where: Cut, name: str) -> Drive:
             f"{name}: fewer than two wheel packets between {begin:g} and {end:g} s; the drive "
             f"lasts {seconds[-1]:.1f} s"
         )
-    a, b = int(inside[0]), int(inside[-1])
-    part = replace(
-        wheels,
-        stamps_ns=wheels.stamps_ns[a : b + 1],
-        angles=wheels.angles[a:b],
-        steering=None if wheels.steering is None else wheels.steering[a:b],
-    )
-    return replace(drive, name=name, wheels=part)
+    return replace(drive, name=name, wheels=wheels.between(int(inside[0]), int(inside[-1])))

@@ -179,12 +179,7 @@ def _warm_up(estimators: Sequence[Estimator], drive: Drive) -> None:
         return
     wheels = trimmed.wheels
     n = min(WARM_UP, wheels.angles.shape[0])
-    short = replace(
-        wheels,
-        stamps_ns=wheels.stamps_ns[: n + 1],
-        angles=wheels.angles[:n],
-        steering=None if wheels.steering is None else wheels.steering[:n],
-    )
+    short = wheels.between(0, n)
     for estimator in estimators:
         # Whatever goes wrong on such a short piece is no concern here; the real run will tell.
         with contextlib.suppress(Exception):

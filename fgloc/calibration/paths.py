@@ -101,14 +101,8 @@ def pieces(data: PathData, count: int) -> list[PathData]:
     for a, b in pairwise(cuts.tolist()):
         if b - a < 2:
             continue
-        wheels = replace(
-            drive.wheels,
-            stamps_ns=stamps[a : b + 1],
-            angles=drive.wheels.angles[a:b],
-            steering=None if drive.wheels.steering is None else drive.wheels.steering[a:b],
-        )
         try:
-            found.append(path_data(replace(drive, wheels=wheels)))
+            found.append(path_data(replace(drive, wheels=drive.wheels.between(a, b))))
         except FglocError:
             continue
     return found

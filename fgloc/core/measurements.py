@@ -7,7 +7,7 @@ A stream validates itself on construction, so code behind a reader never checks 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -47,6 +47,15 @@ class WheelIncrements:
         for name, values in arrays.items():
             if values.shape != (n, len(self.wheels)):
                 raise FglocError(f"{self.sensor}: {name} must have shape ({n}, {len(self.wheels)})")
+
+    def between(self, first: int, last: int) -> WheelIncrements:
+        """Return the increments between the stamps with these two indices."""
+        return replace(
+            self,
+            stamps_ns=self.stamps_ns[first : last + 1],
+            angles=self.angles[first:last],
+            steering=None if self.steering is None else self.steering[first:last],
+        )
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy as np
 
 from fgloc.core.drive import Drive
 from fgloc.core.geometry import compose, interpolate, inverse
-from fgloc.core.measurements import Floats, Stamps, WheelIncrements
+from fgloc.core.measurements import Floats, Stamps
 from fgloc.errors import FglocError
 
 MAX_GAP_S = 0.5
@@ -47,7 +47,9 @@ def trim_to_truth(drive: Drive) -> Drive:
             f"{drive.name}: the recorded truth does not overlap the wheel stamps in time; "
             "check that both use the same clock"
         )
-    return drive if first == 0 else replace(drive, wheels=_from_stamp(drive.wheels, first))
+    if first == 0:
+        return drive
+    return replace(drive, wheels=drive.wheels.between(first, stamps.size - 1))
 
 
 def start_pose(drive: Drive) -> Floats:
@@ -89,18 +91,8 @@ def _cut(drive: Drive, stamp: int) -> Drive:
     """Return the drive with its wheels beginning at a stamp inside an increment."""
     stamps = drive.wheels.stamps_ns
     at = int(np.searchsorted(stamps, stamp, side="right")) - 1
-    wheels = _from_stamp(drive.wheels, at)
+    wheels = drive.wheels.between(at, stamps.size - 1)
     angles, left = wheels.angles.copy(), float(stamps[at + 1] - stamp)
     angles[0] *= left / float(stamps[at + 1] - stamps[at])
     begin = np.concatenate([[stamp], wheels.stamps_ns[1:]])
     return replace(drive, wheels=replace(wheels, stamps_ns=begin, angles=angles))
-
-
-def _from_stamp(wheels: WheelIncrements, first: int) -> WheelIncrements:
-    """Return the increments from the stamp with index `first` on."""
-    return replace(
-        wheels,
-        stamps_ns=wheels.stamps_ns[first:],
-        angles=wheels.angles[first:],
-        steering=None if wheels.steering is None else wheels.steering[first:],
-    )
