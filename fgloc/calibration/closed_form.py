@@ -36,6 +36,16 @@ UNLIKE = 0.5
 
 
 @dataclass(frozen=True)
+class Intervals:
+    """What wheels turned and how the base moved over short times."""
+
+    angles: Floats
+    """(N, W) rotation of the driven wheels [rad]."""
+    moved: Floats
+    """(N, 3) displacement of the base, twist times time [m, m, rad]."""
+
+
+@dataclass(frozen=True)
 class ClosedForm:
     """What linear least squares found."""
 
@@ -50,11 +60,11 @@ class ClosedForm:
     """What a user should know, a sentence each."""
 
 
-def closed_form(data: Sequence[PathData], model: Model) -> ClosedForm | None:
+def closed_form(seen: Intervals, model: Model) -> ClosedForm | None:
     """Return the closed form of a model, None for a steered base, which is not linear.
 
-    The mounting of the reference is taken as nominal. O(N). Raises FglocError where no interval
-    has a displacement.
+    `seen` is that of `intervals`, the same for every model of a robot. The mounting of the
+    reference is taken as nominal. O(N). Raises FglocError where no interval has a displacement.
     """
     base = model.robot.base
     if any(column == STEER for _, _, column, _ in base.links) and base.kind not in (
@@ -62,7 +72,7 @@ def closed_form(data: Sequence[PathData], model: Model) -> ClosedForm | None:
         "odometry",
     ):
         return None
-    angles, moved = _intervals(data)
+    angles, moved = seen.angles, seen.moved
     if angles.shape[0] <= angles.shape[1]:
         return None
     norms = np.linalg.norm(angles, axis=0)
@@ -86,8 +96,8 @@ def closed_form(data: Sequence[PathData], model: Model) -> ClosedForm | None:
     return ClosedForm(jacobian, condition, u, tuple(notes))
 
 
-def _intervals(data: Sequence[PathData]) -> tuple[Floats, Floats]:
-    """Return (N, W) wheel angles and (N, 3) displacements of the base over short intervals."""
+def intervals(data: Sequence[PathData]) -> Intervals:
+    """Return what was seen over short times on all drives. O(N)."""
     angles, moved = [], []
     for d in data:
         wheels = d.drive.wheels
@@ -104,7 +114,7 @@ def _intervals(data: Sequence[PathData]) -> tuple[Floats, Floats]:
         clear = np.abs(step[:, 2]) < 0.5 * np.pi
         angles.append(turned[clear])
         moved.append(step[clear])
-    return np.concatenate(angles), np.concatenate(moved)
+    return Intervals(np.concatenate(angles), np.concatenate(moved))
 
 
 def _closest(model: Model, jacobian: Floats, information: Floats) -> Floats:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fgloc.calibration.closed_form import ClosedForm, closed_form
+from fgloc.calibration.closed_form import ClosedForm, closed_form, intervals
 from fgloc.calibration.models import Choice
 from fgloc.calibration.path_fit import OFFSET_SIGMA_S, RATE_SIGMA, Model, PathFit, fit_paths
 from fgloc.calibration.paths import PathData, pieces
@@ -63,11 +63,14 @@ def select(
     shows that they differ. Raises FglocError as `fit_paths`.
     """
     tried = [Model(c.robot, mount) for c in choices]
-    begins = [closed_form(data, m) for m in tried]
+    seen = intervals(data)
+    begins = [closed_form(seen, m) for m in tried]
     parts = list(data)
     if len(data) < MIN_DRIVES and len(choices) > 1:
         parts = [piece for d in data for piece in pieces(d, PIECES)]
-    fits = [fit_paths(data, m, _begin(b)) for m, b in zip(tried, begins, strict=True)]
+    fits = [
+        fit_paths(data, m, None if b is None else b.u) for m, b in zip(tried, begins, strict=True)
+    ]
     best = 0
     candidates: tuple[Candidate, ...] = ()
     if len(choices) > 1 and len(parts) >= MIN_DRIVES:
@@ -79,11 +82,6 @@ def select(
     return Selected(choices[best], fit, candidates, clocks, begins[best], notes)
 
 
-def _begin(found: ClosedForm | None) -> Floats | None:
-    """Return where a search begins; the nominal values where the wheels tell too little."""
-    return None if found is None else found.u
-
-
 def _compare(
     data: Sequence[PathData],
     parts: Sequence[PathData],
@@ -91,14 +89,9 @@ def _compare(
     fits: Sequence[PathFit],
 ) -> tuple[int, tuple[Candidate, ...]]:
     """Return which model to take, and what each of them is worth."""
-    first = replace(fits[0].model, mount=())
-    zero = np.zeros(len(first.parameters))
-    nominal, whole = errors(open_loop(parts, first, zero)), errors(open_loop(data, first, zero))
-    shares, inside = [], []
-    for fit in fits:
-        own = fit if len(parts) == len(data) else fit_paths(parts, fit.model, fit.u)
-        shares.append(held_out(parts, own).shares(nominal))
-        inside.append(float(np.mean(_in_sample(data, fit).shares(whole))))
+    nominal, whole = _nominal(parts, fits[0].model), _nominal(data, fits[0].model)
+    shares = [_left_out(data, parts, fit).shares(nominal) for fit in fits]
+    inside = [float(np.mean(_in_sample(data, fit).shares(whole))) for fit in fits]
     mean = [float(np.mean(s)) for s in shares]
     told = [k for k, f in enumerate(fits) if _identified(f)]
     best = min(told, key=lambda k: mean[k]) if told else 0
@@ -139,6 +132,18 @@ def _standard_error(values: Floats) -> float:
     return float(np.std(values, ddof=1) / np.sqrt(values.size)) if values.size > 1 else np.inf
 
 
+def _nominal(data: Sequence[PathData], model: Model) -> Errors:
+    """Return the errors of the robot as it is described."""
+    described = replace(model, mount=())
+    return errors(open_loop(data, described, np.zeros(len(described.parameters))))
+
+
+def _left_out(data: Sequence[PathData], parts: Sequence[PathData], fit: PathFit) -> Errors:
+    """Return the errors of parts that are left out in turn; `parts` are the drives, or pieces."""
+    whole = len(parts) == len(data)
+    return held_out(parts, fit if whole else fit_paths(parts, fit.model, fit.u))
+
+
 def _in_sample(data: Sequence[PathData], fit: PathFit) -> Errors:
     """Return the errors of the drives of the fit."""
     return errors(open_loop(data, fit.model, fit.u))
@@ -156,12 +161,9 @@ def _with_offset(
         if abs(offset) < LATE_SIGMA * sigma:
             return fit, ()
         late = late if last else fit_paths(data, model, late.u)
-    whole = len(parts) == len(data)
-    first = replace(fit.model, mount=())
-    nominal = errors(open_loop(parts, first, np.zeros(len(first.parameters))))
-    with_ = held_out(parts, late if whole else fit_paths(parts, late.model, late.u))
-    without = held_out(parts, fit if whole else fit_paths(parts, fit.model, fit.u))
-    gain = without.shares(nominal) - with_.shares(nominal)
+    nominal = _nominal(parts, fit.model)
+    without, with_ = (_left_out(data, parts, f).shares(nominal) for f in (fit, late))
+    gain = without - with_
     if float(np.mean(gain)) <= _standard_error(gain):
         return fit, ()
     when = "early" if offset < 0.0 else "late"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fgloc.calibration.calibrate import CalibrationSettings, calibrate
-from fgloc.calibration.closed_form import closed_form
+from fgloc.calibration.closed_form import closed_form, intervals
 from fgloc.calibration.models import choices, mounting, same_robot
 from fgloc.calibration.path_fit import Model, fit_paths
 from fgloc.calibration.paths import all_data
@@ -147,7 +147,7 @@ def test_one_bad_drive_is_weighted_down() -> None:
 
 
 def test_the_closed_form_finds_swapped_signs_and_wrong_units() -> None:
-    found = closed_form(all_data(drives(2)), Model(Robot("r", NOMINAL)))
+    found = closed_form(intervals(all_data(drives(2))), Model(Robot("r", NOMINAL)))
     assert found is not None
     assert found.condition < 10.0
     assert not found.notes
@@ -160,11 +160,11 @@ def test_the_closed_form_finds_swapped_signs_and_wrong_units() -> None:
         replace(d, wheels=replace(d.wheels, angles=d.wheels.angles * [-1.0, 1.0]))
         for d in drives(2)
     ]
-    told = closed_form(all_data(backwards), model)
+    told = closed_form(intervals(all_data(backwards)), model)
     assert told is not None
     assert "left seems to count backwards" in " ".join(told.notes)
     double = [replace(d, wheels=replace(d.wheels, angles=d.wheels.angles / 3)) for d in drives(2)]
-    told = closed_form(all_data(double), model)
+    told = closed_form(intervals(all_data(double)), model)
     assert told is not None
     assert "times as much as described" in " ".join(told.notes)
 
