@@ -111,17 +111,15 @@ def fit_graph(
         before = u
         for leaf in leaves:
             _minimise(leaf, leaves, prior, nominal, settings)
-        total = prior + sum((leaf.information for leaf in leaves), np.zeros_like(prior))
-        vector = prior @ nominal + sum((leaf.vector for leaf in leaves), np.zeros(len(parameters)))
-        covariance = np.asarray(np.linalg.inv(total))
-        u = covariance @ vector
+        u, covariance = _balance(leaves, prior, nominal)
         moved = float(np.max(np.abs(u - before) / np.sqrt(np.diag(covariance)), initial=0.0))
         if tell is not None:
             tell(f"round {rounds}: moved by {moved:.2g} sigma")
         if moved < DONE:
             converged = True
             break
-    sensors = {r.sensor for leaf in leaves for r in _residuals(leaf)} - {"wheels", "start"}
+    left = tuple(r for leaf in leaves for r in _residuals(leaf))
+    sensors = {r.sensor for r in left} - {"wheels", "start"}
     return GraphFit(
         original,
         # Scales and relative sizes are those of the variables around the start.
@@ -132,7 +130,7 @@ def fit_graph(
             ]
         ),
         covariance,
-        tuple(r for leaf in leaves for r in _residuals(leaf)),
+        left,
         tuple(sorted(sensors)),
         (*described_otherwise, *notes),
         rounds,
@@ -215,6 +213,14 @@ def _leaves(
     return leaves, tuple(parameters[n] for n in names), notes
 
 
+def _balance(leaves: Sequence[_Leaf], prior: Floats, nominal: Floats) -> tuple[Floats, Floats]:
+    """Return mean (G,) and covariance (G, G) of the shared variables, by prior and messages."""
+    information = prior + sum((leaf.information for leaf in leaves), np.zeros_like(prior))
+    vector = prior @ nominal + sum((leaf.vector for leaf in leaves), np.zeros_like(nominal))
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    return covariance @ vector, covariance
+
+
 def _minimise(
     leaf: _Leaf,
     leaves: Sequence[_Leaf],
@@ -223,11 +229,7 @@ def _minimise(
     settings: Settings,
 ) -> None:
     """Minimise one drive with the messages of all others, and make its own message anew."""
-    others = [other for other in leaves if other is not leaf]
-    information = prior + sum((o.information for o in others), np.zeros_like(prior))
-    vector = prior @ nominal + sum((o.vector for o in others), np.zeros(len(nominal)))
-    cavity = np.linalg.inv(information)
-    mean = cavity @ vector
+    mean, cavity = _balance([other for other in leaves if other is not leaf], prior, nominal)
     at = np.ix_(leaf.shared, leaf.shared)
     own_prior = leaf.problem.prior_covariance
     size = own_prior.shape[0]

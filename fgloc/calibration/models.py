@@ -11,6 +11,7 @@ from fgloc.core.kinematics import Parameter, WheeledBase
 from fgloc.core.motion_models import MODELS
 from fgloc.core.robot import Robot
 from fgloc.errors import FglocError
+from fgloc.smoothing.sensors import KNOWN, mount_parameters
 
 GEOMETRY = "geometry"
 """The base as it is described: radii, track, places of wheels."""
@@ -98,11 +99,8 @@ def mounting(truths: Sequence[Reference]) -> tuple[Parameter, ...]:
     """
     first = truths[0]
     sigmas = first.mount_sigma if any(first.mount_sigma) else MOUNT_SIGMA
-    return tuple(
-        Parameter(f"{first.sensor}_{axis}", value, sigma, unit="rad" if axis == "yaw" else "m")
-        for axis, value, sigma in zip(("x", "y", "yaw"), first.mount, sigmas, strict=True)
-        if sigma > 0.0
-    )
+    placed = mount_parameters(first.sensor, first.mount, sigmas)
+    return tuple(p for p in placed if p.prior_sigma > KNOWN)
 
 
 def same_robot(drives: Sequence[Drive]) -> tuple[list[Drive], list[str]]:

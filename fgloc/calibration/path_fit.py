@@ -15,7 +15,7 @@ the larger of two: those of the least squares, and those that the spread between
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -123,10 +123,26 @@ class PathFit:
     """How often all paths were integrated."""
     converged: bool
     """Whether the last step was small enough."""
-    information: tuple[Floats, ...] = field(default=())
+    information: tuple[Floats, ...]
     """(G, G) information of every drive about the shared variables."""
-    gradient: tuple[Floats, ...] = field(default=())
+    gradient: tuple[Floats, ...]
     """(G,) gradient of every drive's cost by them."""
+
+
+@dataclass(frozen=True)
+class _Step:
+    """One step, and what it is made of drive by drive."""
+
+    shared: Floats
+    """(G,) of the shared variables."""
+    local: list[Floats]
+    """(L,) of each drive's own."""
+    information: list[Floats]
+    """(G, G) information of each drive about the shared variables, its own eliminated."""
+    gradient: list[Floats]
+    """(G,) gradient of each drive's cost by them."""
+    own: list[Floats]
+    """(L, L) covariance of each drive's own variables, the shared ones known."""
 
 
 def rows_of(data: PathData, model: Model, u: Floats, local: Floats) -> Rows:
@@ -186,24 +202,25 @@ def fit_paths(
         if round_:
             size, weights = sizes(data, rows, weights)
         cost = _cost(rows, u, local, size, weights, prior)
+        if not np.isfinite(cost):
+            raise FglocError(
+                "the wheels' paths cannot be computed with these values; check the robot's "
+                "dimensions, or give better ones with --robot"
+            )
         while True:
-            step, steps, _, _ = _step(rows, u, local, size, weights, prior, damping)
+            found = _step(rows, u, local, size, weights, prior, damping)
+            step = found.shared
             trial_u = u + step
-            trial_local = [v + s for v, s in zip(local, steps, strict=True)]
+            trial_local = [v + s for v, s in zip(local, found.local, strict=True)]
             trial = [rows_of(d, model, trial_u, v) for d, v in zip(data, trial_local, strict=True)]
             evaluations += 1
             after = _cost(trial, trial_u, trial_local, size, weights, prior)
             if after <= cost * (1.0 + 1e-12):
                 break
-            if np.isfinite(cost) and damping > 1e6:
+            if damping > 1e6:
                 # No way down: at the minimum, as well as rounding and clipped clocks let it be.
                 trial_u, trial_local, trial, step = u, local, rows, np.zeros_like(u)
                 break
-            if not np.isfinite(cost):
-                raise FglocError(
-                    "the wheels' paths cannot be computed with these values; check the robot's "
-                    "dimensions, or give better ones with --robot"
-                )
             damping = max(10.0 * damping, 1e-3)
         u, local, rows = trial_u, trial_local, trial
         damping *= 0.1 if damping > 1e-6 else 0.0
@@ -212,37 +229,32 @@ def fit_paths(
             converged = True
             break
     size, weights = sizes(data, rows, weights)
-    _, _, information, gradient = _step(rows, u, local, size, weights, prior, 0.0)
-    inverse = np.asarray(np.linalg.inv(prior + np.sum(information, axis=0)), dtype=np.float64)
-    spread = [
-        np.asarray(np.sqrt(np.diag(np.linalg.inv(_own(r, size, w)))), dtype=np.float64)
-        for r, w in zip(rows, weights, strict=True)
-    ]
+    last = _step(rows, u, local, size, weights, prior, 0.0)
+    inverse = np.asarray(np.linalg.inv(prior + np.sum(last.information, axis=0)), dtype=np.float64)
     return PathFit(
         model,
         u,
-        _covariance(inverse, prior, u, gradient),
+        _covariance(inverse, prior, last.gradient),
         tuple(local),
-        tuple(spread),
+        tuple(np.sqrt(np.diag(own)) for own in last.own),
         size,
         weights,
         tuple(rows),
         evaluations,
         converged,
-        tuple(information),
-        tuple(gradient),
+        tuple(last.information),
+        tuple(last.gradient),
     )
 
 
 def sizes(data: Sequence[PathData], rows: Sequence[Rows], weights: Floats) -> tuple[Floats, Floats]:
     """Return the (3,) size of what is left of the paths, and the (D,) weights of the drives."""
     squares = np.array([np.mean(r.residual**2, axis=0) for r in rows])
+    floor = np.max([np.array(d.drive.truth.sigma) for d in data if d.drive.truth], axis=0)
     for _ in range(10):
         mean = weights @ squares / np.sum(weights)
         position = 0.5 * (mean[0] + mean[1])
-        size = np.sqrt(np.array([position, position, mean[2]]))
-        floor = np.max([np.array(d.drive.truth.sigma) for d in data if d.drive.truth], axis=0)
-        size = np.maximum(size, floor)
+        size = np.maximum(np.sqrt(np.array([position, position, mean[2]])), floor)
         normalised = np.sqrt(np.mean(squares / size**2, axis=1))
         if len(rows) < MIN_CLUSTERS:
             break
@@ -270,12 +282,6 @@ def _cost(
     return total
 
 
-def _own(r: Rows, size: Floats, weight: float) -> Floats:
-    """Return the (L, L) information of a drive's own variables, prior included."""
-    k = (r.local * _scale(size, weight, len(r.residual))[:, None]).reshape(r.residual.size, -1)
-    return np.asarray(k.T @ k + np.eye(k.shape[1]))
-
-
 def _step(
     rows: Sequence[Rows],
     u: Floats,
@@ -284,15 +290,15 @@ def _step(
     weights: Floats,
     prior: Floats,
     damping: float,
-) -> tuple[Floats, list[Floats], list[Floats], list[Floats]]:
-    """Return the step of shared and own variables, and every drive's information and gradient."""
+) -> _Step:
+    """Return the Gauss–Newton step, damped, from a linearisation."""
     information, gradient, kept = [], [], []
     for r, v, w in zip(rows, local, weights, strict=True):
         scale = _scale(size, w, len(r.residual))
         e = (r.residual * scale).ravel()
         j = (r.shared * scale[:, None]).reshape(e.size, -1)
         k = (r.local * scale[:, None]).reshape(e.size, -1)
-        own = np.linalg.inv(k.T @ k + np.eye(v.size))
+        own = np.asarray(np.linalg.inv(k.T @ k + np.eye(v.size)), dtype=np.float64)
         cross, right = j.T @ k, k.T @ e + v
         information.append(j.T @ j - cross @ own @ cross.T)
         gradient.append(j.T @ e - cross @ own @ right)
@@ -301,10 +307,10 @@ def _step(
     h = h + damping * np.diag(np.diag(h))
     step = np.asarray(-np.linalg.solve(h, prior @ u + np.sum(gradient, axis=0)), dtype=np.float64)
     steps = [-own @ (right + cross.T @ step) for own, cross, right in kept]
-    return step, steps, information, gradient
+    return _Step(step, steps, information, gradient, [own for own, _, _ in kept])
 
 
-def _covariance(inverse: Floats, prior: Floats, u: Floats, gradient: Sequence[Floats]) -> Floats:
+def _covariance(inverse: Floats, prior: Floats, gradient: Sequence[Floats]) -> Floats:
     """Return the covariance of the shared variables, by least squares or between drives.
 
     Between drives: H⁻¹ (P + Σ g gᵀ·D/(D-1)) H⁻¹ with each drive's gradient g; the larger sigma
