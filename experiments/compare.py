@@ -15,7 +15,7 @@ from fgloc.core.start import trim_to_truth
 from fgloc.core.totals import totals
 from fgloc.datasets.registry import expand, load_drive
 from fgloc.errors import FglocError
-from fgloc.estimator import Estimator, run
+from fgloc.estimator import Estimator, calibrated_mount, run
 from fgloc.experiments.fixes import FixSpec, with_fixes
 from fgloc.experiments.methods import create, parse
 from fgloc.io.topics import load_topics
@@ -24,7 +24,6 @@ from fgloc.report.outcomes import (
     DriveOutcome,
     MethodOutcome,
     Settings,
-    calibrated_mount,
 )
 from fgloc.robot_file import apply_robot_file
 
@@ -136,7 +135,7 @@ def compare_drives(
                 if drive.truth is None:
                     found[method] = MethodOutcome(result, None)
                 else:
-                    mount = calibrated_mount(result, drive.truth)
+                    mount = calibrated_mount(result.calibration, drive.truth)
                     scores = evaluate(result.trajectory, drive.truth, mount)
                     found[method] = MethodOutcome(result, scores, mount)
             done += 1

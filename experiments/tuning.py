@@ -36,9 +36,8 @@ from dataclasses import dataclass
 from fgloc.core.drive import Drive
 from fgloc.core.evaluation import Evaluation, evaluate
 from fgloc.errors import FglocError
-from fgloc.estimator import Estimator
+from fgloc.estimator import Estimator, calibrated_mount
 from fgloc.experiments.tuning_search import Bounds, Search, Trial, Values
-from fgloc.report.outcomes import calibrated_mount
 
 Objective = Callable[[Evaluation], float]
 
@@ -172,6 +171,6 @@ def _score(estimator: Estimator, drive: Drive, objective: Objective) -> float:
     """Return the objective on one drive, scored as a comparison does."""
     assert drive.truth is not None
     result = estimator.estimate(drive)
-    mount = calibrated_mount(result, drive.truth)
+    mount = calibrated_mount(result.calibration, drive.truth)
     score = objective(evaluate(result.trajectory, drive.truth, mount))
     return score if math.isfinite(score) else math.inf

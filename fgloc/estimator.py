@@ -66,6 +66,34 @@ def calibration_of(
     return estimates, covariance
 
 
+Mount = tuple[float, float, float]
+"""Pose of something on the base: x [m], y [m], yaw [rad]."""
+
+
+class Mounted(Protocol):
+    """What sits somewhere on the robot: a reference, a lidar, a camera."""
+
+    @property
+    def sensor(self) -> str:
+        """Return its name, under which the mounting is calibrated."""
+        ...
+
+    @property
+    def mount(self) -> Mount:
+        """Return its nominal mounting [m, m, rad]."""
+        ...
+
+
+def calibrated_mount(calibration: Sequence[CalibrationEstimate], mounted: Mounted) -> Mount:
+    """Return where something is mounted [m, m, rad]: nominal, with what was calibrated."""
+    found = {c.name: c.value for c in calibration}
+    x, y, yaw = (
+        found.get(f"{mounted.sensor}_{axis}", nominal)
+        for axis, nominal in zip(("x", "y", "yaw"), mounted.mount, strict=True)
+    )
+    return x, y, yaw
+
+
 @dataclass(frozen=True)
 class SensorResiduals:
     """Residuals of one sensor at the solution."""

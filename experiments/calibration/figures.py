@@ -7,28 +7,20 @@ from pathlib import Path
 
 import numpy as np
 
-from fgloc.calibration.calibrate import mount_of
-from fgloc.calibration.evaluate import open_loop_trajectory
-from fgloc.core.evaluation import map_mount
+from fgloc.calibration.evaluate import before_and_after
 from fgloc.datasets.registry import load_drive
 from fgloc.experiments.calibration.cases import Outcome
 from fgloc.report.experiment_report import Figure
-from fgloc.report.plot_experiment import Paths, plot_paths
-
-ACROSS = 3
-"""Panels in a row."""
+from fgloc.report.plot_calibration import open_loop_panel, plot_panels
+from fgloc.report.plot_experiment import Paths
 
 
 def paths_figure(outcomes: Sequence[Outcome], data: Path | None) -> Figure:
     """Return the open-loop paths of the drive of median error of every fit that chose its model."""
 
     def draw(path: Path) -> Path:
-        panels = []
-        for o in outcomes:
-            if o.case.model is None and o.report.evaluation:
-                panels.append(_panel(o, data))
-        rows = [panels[k : k + ACROSS] for k in range(0, len(panels), ACROSS)]
-        return plot_paths(rows, "Wheels alone, open loop: nominal and calibrated", path)
+        shown = [o for o in outcomes if o.case.model is None and o.report.evaluation]
+        return plot_panels([_panel(o, data) for o in shown], path)
 
     return Figure(
         "paths",
@@ -40,20 +32,9 @@ def paths_figure(outcomes: Sequence[Outcome], data: Path | None) -> Figure:
 def _panel(o: Outcome, data: Path | None) -> Paths:
     """Return the paths on the judged drive of median error after calibration."""
     order = sorted(o.report.evaluation, key=lambda e: e.value.ate_rmse_m)
-    middle = order[len(order) // 2]
-    drive = load_drive(middle.drive, data)
-    assert drive.truth is not None
-    first = load_drive(o.case.fit[0], data).robot
-    mount = mount_of(o.report, drive)
-    assert mount is not None
-    before = map_mount(open_loop_trajectory(drive, first), drive.truth.mount)
-    after = map_mount(open_loop_trajectory(drive, o.report.robot, mount), mount)
-    title = f"{o.case.group}: {middle.drive.partition(':')[2]}"
-    return Paths(
-        title,
-        {"nominal": before.poses, "calibrated": after.poses},
-        drive.truth.trajectory.poses,
-    )
+    middle = order[len(order) // 2].drive
+    title = f"{o.case.group}: {middle.partition(':')[2]}"
+    return open_loop_panel(load_drive(middle, data), o.report, title)
 
 
 def residual_figure(outcomes: Sequence[Outcome], data: Path | None) -> Figure:
@@ -75,9 +56,8 @@ def residual_figure(outcomes: Sequence[Outcome], data: Path | None) -> Figure:
             ways, turns = [], []
             for name in o.case.judged:
                 drive = load_drive(name, data)
-                assert drive.truth is not None
-                wheels = open_loop_trajectory(drive, o.report.robot, mount_of(o.report, drive))
-                truth = drive.truth.trajectory.poses
+                found = before_and_after(drive, o.report)["calibrated"]
+                wheels, truth = found.trajectory, found.truth.trajectory.poses
                 told = wheels.poses[-1, 2] - wheels.poses[0, 2]
                 turned = np.unwrap(truth[:, 2])
                 way = float(np.sum(np.hypot(*np.diff(wheels.poses[:, :2], axis=0).T)))

@@ -31,7 +31,8 @@ def against_sensors(
     Censi et al. where there is one: two wheels and a camera or a matched laser. Raises FglocError
     where there is nothing to compare the wheels with, and as `fit_graph` does.
     """
-    made = choice(drives[0].robot, model or GEOMETRY)
+    nominal = drives[0].robot
+    made = choice(nominal, model or GEOMETRY)
     drives = [replace(d, robot=made.robot) for d in drives]
     start, condition, notes = _closed_form(drives)
     fit = fit_graph(drives, start=start, tell=tell)
@@ -49,6 +50,7 @@ def against_sensors(
         fit=tuple(d.name for d in drives),
         reference=", ".join(fit.sensors) or ALONE,
         model=made.id,
+        nominal=nominal,
         robot=calibrated_robot(made.robot, estimates),
         parameters=estimates,
         covariance=covariance,

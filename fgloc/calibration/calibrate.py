@@ -11,7 +11,7 @@ import numpy as np
 
 from fgloc.calibration.advice import advice
 from fgloc.calibration.against_sensors import against_sensors
-from fgloc.calibration.evaluate import Mount, evaluate_drives
+from fgloc.calibration.evaluate import evaluate_drives
 from fgloc.calibration.models import choice, choices, mounting, same_robot
 from fgloc.calibration.path_fit import PathFit
 from fgloc.calibration.paths import PathData, all_data
@@ -74,14 +74,11 @@ def calibrate(
         r.components[0] not in HEADINGS and r.sensor not in wheels for r in report.residuals
     )
     told = advice(report.robot, report.parameters, report.covariance, places=places)
-    mount = mount_of(report, used[0])
     known = [d for d in others if d.truth is not None]
     for d in others:
         if d.truth is None:
             notes.append(f"{d.name} has no recorded truth, so nothing is evaluated on it")
-    evaluation, before, after = evaluate_drives(
-        known, used[0].robot, report.robot, mount, time_offset_of(report)
-    )
+    evaluation, before, after = evaluate_drives(known, report)
     return replace(
         report,
         advice=told,
@@ -91,21 +88,6 @@ def calibrate(
         notes=(*notes, *report.notes),
         seconds=seconds,
     )
-
-
-def mount_of(report: CalibrationReport, drive: Drive) -> Mount | None:
-    """Return where a calibration puts a drive's reference; None where it says nothing of it."""
-    if drive.truth is None:
-        return None
-    found = {p.name: p.value for p in report.parameters}
-    names = [f"{drive.truth.sensor}_{axis}" for axis in ("x", "y", "yaw")]
-    x, y, yaw = (found.get(n, v) for n, v in zip(names, drive.truth.mount, strict=True))
-    return (x, y, yaw)
-
-
-def time_offset_of(report: CalibrationReport) -> float:
-    """Return by how much the wheels' stamps are late against the reference's [s]."""
-    return next((p.value for p in report.parameters if p.name == "time_offset"), 0.0)
 
 
 def _against_truth(drives: Sequence[Drive], settings: CalibrationSettings) -> CalibrationReport:
@@ -128,6 +110,7 @@ def _against_truth(drives: Sequence[Drive], settings: CalibrationSettings) -> Ca
         fit=tuple(d.name for d in drives),
         reference="truth",
         model=found.choice.id,
+        nominal=robot,
         robot=calibrated_robot(found.choice.robot, estimates),
         parameters=estimates,
         covariance=covariance,

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
-from fgloc.calibration.result import DriveError
-from fgloc.core.drive import Drive
+from fgloc.calibration.result import CalibrationReport, DriveError
+from fgloc.core.drive import Drive, Reference
 from fgloc.core.evaluation import Evaluation, evaluate
 from fgloc.core.geometry import EXACT, integrate
 from fgloc.core.robot import Robot
@@ -14,8 +14,7 @@ from fgloc.core.start import start_pose, trim_to_truth
 from fgloc.core.totals import Totals, totals
 from fgloc.core.trajectory import Trajectory
 from fgloc.errors import FglocError
-
-Mount = tuple[float, float, float]
+from fgloc.estimator import Mount, calibrated_mount
 
 
 def open_loop_trajectory(
@@ -36,34 +35,52 @@ def open_loop_trajectory(
     return Trajectory(stamps, integrate(moved, start_pose(drive), EXACT))
 
 
-def open_loop_errors(
-    drive: Drive, robot: Robot, mount: Mount | None = None, offset_s: float = 0.0
-) -> Evaluation:
-    """Return the errors of `open_loop_trajectory`. Raises FglocError without a truth."""
-    if drive.truth is None:
+@dataclass(frozen=True)
+class OpenLoop:
+    """Where wheels alone put the base on a drive, and what their errors are taken against."""
+
+    trajectory: Trajectory
+    """Poses of the base."""
+    truth: Reference
+    """The drive's truth."""
+    mount: Mount
+    """Where its reference sits on the base."""
+
+    @property
+    def errors(self) -> Evaluation:
+        """Return the errors against the truth."""
+        return evaluate(self.trajectory, self.truth, self.mount)
+
+
+def before_and_after(drive: Drive, report: CalibrationReport) -> Mapping[str, OpenLoop]:
+    """Return the open loop of the robot as described ("nominal") and "calibrated". O(N).
+
+    Calibrated are also where the reference sits and by how much the wheels' stamps are late.
+    Raises FglocError without a truth, or if it does not overlap the wheels in time.
+    """
+    truth = drive.truth
+    if truth is None:
         raise FglocError(f"{drive.name} has no recorded truth, so nothing can be evaluated on it")
-    return evaluate(open_loop_trajectory(drive, robot, mount, offset_s), drive.truth, mount)
+    mount = calibrated_mount(report.parameters, truth)
+    after = open_loop_trajectory(drive, report.robot, mount, report.time_offset_s)
+    return {
+        "nominal": OpenLoop(open_loop_trajectory(drive, report.nominal), truth, truth.mount),
+        "calibrated": OpenLoop(after, truth, mount),
+    }
 
 
 def evaluate_drives(
-    drives: Sequence[Drive],
-    nominal: Robot,
-    calibrated: Robot,
-    mount: Mount | None,
-    offset_s: float = 0.0,
+    drives: Sequence[Drive], report: CalibrationReport
 ) -> tuple[tuple[DriveError, ...], Totals | None, Totals | None]:
     """Return the errors of every drive before and after, and both totals; None without drives."""
-    found = tuple(
-        DriveError(
-            d.name,
-            d.motion,
-            open_loop_errors(d, nominal),
-            open_loop_errors(d, calibrated, mount, offset_s),
+    found = []
+    for d in drives:
+        paths = before_and_after(d, report)
+        found.append(
+            DriveError(d.name, d.motion, paths["nominal"].errors, paths["calibrated"].errors)
         )
-        for d in drives
-    )
     if not found:
-        return found, None, None
+        return (), None, None
     before = totals((e.motion, e.nominal) for e in found)
     after = totals((e.motion, e.value) for e in found)
-    return found, before, after
+    return tuple(found), before, after

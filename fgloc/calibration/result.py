@@ -95,6 +95,8 @@ class CalibrationReport:
     """What the wheels were compared with, e.g. "truth", "camera, gyro", "wheels alone"."""
     model: str
     """Id of the chosen candidate."""
+    nominal: Robot
+    """The robot as the drives of the fit describe it."""
     robot: Robot
     """The calibrated robot: found values as nominal, posterior sigmas as priors."""
     parameters: tuple[CalibrationEstimate, ...]
@@ -123,6 +125,11 @@ class CalibrationReport:
     """The same with the calibrated robot."""
     seconds: float = 0.0
     """Time that the fit took, without reading and evaluating [s]."""
+
+    @property
+    def time_offset_s(self) -> float:
+        """Return by how much the wheels' stamps are late against the reference's [s]."""
+        return next((p.value for p in self.parameters if p.name == "time_offset"), 0.0)
 
     @property
     def sensor_parameters(self) -> tuple[CalibrationEstimate, ...]:

@@ -8,7 +8,6 @@ from typing import Any
 
 from fgloc import __version__
 from fgloc.atomic import write_text
-from fgloc.calibration.calibrate import mount_of
 from fgloc.calibration.result import CalibrationReport
 from fgloc.calibration.robot_toml import calibration_toml
 from fgloc.core.drive import Drive
@@ -59,16 +58,9 @@ def write_calibration(
             lambda: plot_correlations(report, run.file("correlations.png")),
         ]
         if known:
-            nominal = known[0].robot
-
-            def mount(drive: Drive) -> tuple[float, float, float] | None:
-                return mount_of(report, drive)
-
             figures += [
-                lambda: plot_open_loop(known, nominal, report, mount, run.file("paths.png")),
-                lambda: plot_open_loop_errors(
-                    known, nominal, report, mount, run.file("errors.png")
-                ),
+                lambda: plot_open_loop(known, report, run.file("paths.png")),
+                lambda: plot_open_loop_errors(known, report, run.file("errors.png")),
             ]
         for k, draw in enumerate(figures, 1):
             path = draw()

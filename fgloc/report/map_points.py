@@ -13,9 +13,8 @@ from fgloc.core.evaluation import interpolate_trajectory, map_mount
 from fgloc.core.geometry import between, compose, exp, log
 from fgloc.core.measurements import Floats, Scans, Stamps
 from fgloc.core.trajectory import Trajectory
-from fgloc.estimator import Result
+from fgloc.estimator import Result, calibrated_mount
 from fgloc.lidar.scan import cloud
-from fgloc.report.outcomes import calibrated_mount
 
 Mask = npt.NDArray[np.bool_]
 
@@ -89,7 +88,7 @@ def place_scans(scans: Scans, trajectory: Trajectory, mount: tuple[float, ...]) 
 def placed_scans(result: Result, drive: Drive) -> tuple[PlacedScans, ...]:
     """Return the scans of each of the drive's lidars in map axes, mounted as calibrated."""
     return tuple(
-        place_scans(scans, result.trajectory, calibrated_mount(result, scans))
+        place_scans(scans, result.trajectory, calibrated_mount(result.calibration, scans))
         for scans in drive.each(Scans)
     )
 

@@ -10,15 +10,14 @@ from fgloc.core.geometry import inverse
 from fgloc.core.measurements import Floats, LandmarkSightings
 from fgloc.core.trajectory import Trajectory
 from fgloc.datasets.registry import world_of
-from fgloc.estimator import Result
-from fgloc.report.outcomes import calibrated_mount
+from fgloc.estimator import Result, calibrated_mount
 
 
 def base_truth(result: Result, drive: Drive) -> Trajectory | None:
     """Return the recorded truth as poses of base_link, by the reference's calibrated mounting."""
     if drive.truth is None:
         return None
-    x, y, yaw = inverse(np.array(calibrated_mount(result, drive.truth)))
+    x, y, yaw = inverse(np.array(calibrated_mount(result.calibration, drive.truth)))
     reference = drive.truth.trajectory
     return map_mount(reference, (float(x), float(y), float(yaw)))
 

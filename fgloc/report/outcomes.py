@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from fgloc.core.drive import Drive
 from fgloc.core.evaluation import Evaluation
 from fgloc.core.totals import Totals
-from fgloc.estimator import Result
-
-Mount = tuple[float, float, float]
+from fgloc.estimator import Mount, Result
 
 
 @dataclass(frozen=True)
@@ -82,27 +79,3 @@ class Comparison:
         """Return the number of drives on which a method was scored."""
         outcomes = (d.methods.get(method) for d in self.drives)
         return sum(o is not None and o.evaluation is not None for o in outcomes)
-
-
-class Mounted(Protocol):
-    """What sits somewhere on the robot: a reference, a lidar, a camera."""
-
-    @property
-    def sensor(self) -> str:
-        """Return its name, under which the mounting is calibrated."""
-        ...
-
-    @property
-    def mount(self) -> Mount:
-        """Return its nominal mounting [m, m, rad]."""
-        ...
-
-
-def calibrated_mount(result: Result, mounted: Mounted) -> Mount:
-    """Return where something is mounted [m, m, rad]: nominal, with what the result calibrated."""
-    found = {c.name: c.value for c in result.calibration}
-    x, y, yaw = (
-        found.get(f"{mounted.sensor}_{axis}", nominal)
-        for axis, nominal in zip(("x", "y", "yaw"), mounted.mount, strict=True)
-    )
-    return x, y, yaw

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from fgloc.calibration.evaluate import open_loop_trajectory
+from fgloc.calibration.evaluate import before_and_after
 from fgloc.calibration.result import CalibrationReport
 from fgloc.core.consistency import correlations
 from fgloc.core.drive import Drive
 from fgloc.core.evaluation import error_series, map_mount
-from fgloc.core.robot import Robot
 from fgloc.report.figures import colour, new_figure, save, style
 from fgloc.report.plot_experiment import Paths, plot_paths
 
@@ -21,8 +20,6 @@ ACROSS = 3
 """Panels in a row."""
 MOST = 12
 """Drives that are drawn, evenly over those evaluated."""
-Mounts = Callable[[Drive], tuple[float, float, float] | None]
-"""Where the calibrated reference of a drive sits."""
 
 
 def plot_parameters(report: CalibrationReport, path: Path) -> Path:
@@ -58,45 +55,33 @@ def plot_correlations(report: CalibrationReport, path: Path) -> Path:
     return save(figure, path)
 
 
-def plot_open_loop(
-    drives: Sequence[Drive],
-    nominal: Robot,
-    report: CalibrationReport,
-    mount: Mounts,
-    path: Path,
-) -> Path:
-    """Draw the wheels' paths before and after against the truth, on at most twelve drives."""
-    panels = []
-    for drive in _some(drives):
-        assert drive.truth is not None
-        where = mount(drive) or drive.truth.mount
-        before = map_mount(open_loop_trajectory(drive, nominal), drive.truth.mount)
-        after = map_mount(open_loop_trajectory(drive, report.robot, where), where)
-        paths = {"nominal": before.poses, "calibrated": after.poses}
-        panels.append(Paths(drive.name, paths, drive.truth.trajectory.poses))
+def open_loop_panel(drive: Drive, report: CalibrationReport, title: str) -> Paths:
+    """Return the wheels' paths before and after on a drive with a truth, to be drawn."""
+    found = before_and_after(drive, report)
+    truth = found["nominal"].truth.trajectory
+    paths = {name: map_mount(o.trajectory, o.mount).poses for name, o in found.items()}
+    return Paths(title, paths, truth.poses)
+
+
+def plot_panels(panels: Sequence[Paths], path: Path) -> Path:
+    """Draw open-loop paths, three panels in a row."""
     rows = [panels[k : k + ACROSS] for k in range(0, len(panels), ACROSS)]
     return plot_paths(rows, "Wheels alone, open loop from the true start", path)
 
 
-def plot_open_loop_errors(
-    drives: Sequence[Drive],
-    nominal: Robot,
-    report: CalibrationReport,
-    mount: Mounts,
-    path: Path,
-) -> Path:
+def plot_open_loop(drives: Sequence[Drive], report: CalibrationReport, path: Path) -> Path:
+    """Draw the wheels' paths before and after against the truth, on at most twelve drives."""
+    return plot_panels([open_loop_panel(d, report, d.name) for d in _some(drives)], path)
+
+
+def plot_open_loop_errors(drives: Sequence[Drive], report: CalibrationReport, path: Path) -> Path:
     """Draw position and heading errors over time, before and after, on at most twelve drives."""
     shown = _some(drives)
     figure = new_figure(9.0, 5.0)
     top, bottom = figure.subplots(2, 1, sharex=True)
     for drive in shown:
-        assert drive.truth is not None
-        where = mount(drive) or drive.truth.mount
-        for name, robot, at in (
-            ("nominal", nominal, drive.truth.mount),
-            ("calibrated", report.robot, where),
-        ):
-            series = error_series(open_loop_trajectory(drive, robot, at), drive.truth, at)
+        for name, found in before_and_after(drive, report).items():
+            series = error_series(found.trajectory, found.truth, found.mount)
             seconds = (series.stamps_ns - series.stamps_ns[0]) * 1e-9
             look = {"color": colour(name), "ls": style(name), "lw": 1.0, "alpha": 0.8}
             label = name if drive is shown[0] else None
