@@ -177,13 +177,7 @@ def _leaves(
     parameters: dict[str, Parameter] = {}
     solved, notes = [], []
     for k, drive in enumerate(begun, 1):
-        try:
-            problem, solution, left_out = solve_with_trust(replace(drive, truth=None), settings)
-        except np.linalg.LinAlgError:
-            raise FglocError(
-                f"{drive.name} cannot be smoothed: a measurement or a sigma is off by orders of "
-                "magnitude; look for leaps in the data and for sigmas near zero"
-            ) from None
+        problem, solution, left_out = solve_with_trust(replace(drive, truth=None), settings)
         for p in problem.parameters:
             if not p.name.endswith(LOCAL) and p.prior_sigma > KNOWN:
                 parameters.setdefault(p.name, p)

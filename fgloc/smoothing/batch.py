@@ -9,7 +9,6 @@ import numpy as np
 from fgloc.core.drive import Drive
 from fgloc.core.geometry import rotate_covariance
 from fgloc.core.trajectory import Trajectory
-from fgloc.errors import FglocError
 from fgloc.estimator import DOWN_WEIGHTED, Result, SensorCount, SensorResiduals, calibration_of
 from fgloc.factors.tables import COMPONENTS, Kind, residuals
 from fgloc.smoothing.mapping import map_of
@@ -44,14 +43,7 @@ class BatchSmoother:
         Raises FglocError where the drive cannot be smoothed (no overlap, undetermined wheels,
         numbers so far apart that nothing can be computed from them).
         """
-        try:
-            problem, solution, left_out = solve_with_trust(drive, self.settings)
-        except np.linalg.LinAlgError:
-            raise FglocError(
-                f"{drive.name} cannot be smoothed: a measurement or a sigma is off by orders of "
-                "magnitude, so that rounding errors outweigh the rest; look for leaps in the data "
-                "and for sigmas near zero"
-            ) from None
+        problem, solution, left_out = solve_with_trust(drive, self.settings)
         return _result(self.method, drive, problem, solution, left_out)
 
 

@@ -11,7 +11,8 @@ from fgloc.core.drive import Drive
 from fgloc.core.kinematics import Parameter
 from fgloc.core.measurements import CameraPoses, Floats, Yaw, YawRate
 from fgloc.core.start import trim_to_truth
-from fgloc.factors.tables import Kind
+from fgloc.errors import FglocError
+from fgloc.factors.tables import FactorTable, Kind
 from fgloc.smoothing.build import build_problem
 from fgloc.smoothing.front import Front, look_around
 from fgloc.smoothing.mapping import solve_with_walls
@@ -42,6 +43,11 @@ ARBITERS = (Kind.POSITION_FIX, Kind.POSE_FIX, Kind.CAMERA)
 """Sensors that can tell who is right: they see neither magnetic fields nor the wheels."""
 
 
+def _tells(table: FactorTable) -> bool:
+    """Return True for the factors of a sensor that can tell who is right."""
+    return table.kind in ARBITERS and table.sensor != "start"
+
+
 def strain(solution: Solution) -> float:
     """Return the mean robust cost per residual component of the fixes and cameras; 0 without any.
 
@@ -50,7 +56,7 @@ def strain(solution: Solution) -> float:
     """
     cost, count = 0.0, 0
     for table, rows in zip(solution.point.tables, solution.point.linear, strict=True):
-        if table.kind in ARBITERS and table.sensor != "start":
+        if _tells(table):
             cost += float(np.sum(table.loss.cost(rows.squared)))
             count += rows.residual.size
     return cost / max(count, 1)
@@ -61,7 +67,7 @@ def doubted(solution: Solution) -> float:
     weights = [
         w
         for table, w in zip(solution.point.tables, solution.point.weights, strict=True)
-        if table.kind in ARBITERS and table.sensor != "start"
+        if _tells(table)
     ]
     return float(np.mean(np.concatenate(weights) < HALF)) if weights else 0.0
 
@@ -114,8 +120,22 @@ def solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Solutio
     Returns the problem and solution without what was left out, and a note for each sensor left
     out, by its name. Wheels that slip are looked for before a heading sensor is doubted that only
     the wheels contradict, and after one that fixes or camera contradict. Costs one more solve a
-    heading sensor, and only in a strained drive.
+    heading sensor, and only in a strained drive. Raises FglocError where the drive cannot be
+    smoothed (no overlap, undetermined wheels, numbers so far apart that nothing can be computed
+    from them).
     """
+    try:
+        return _solve_with_trust(drive, settings)
+    except np.linalg.LinAlgError:
+        raise FglocError(
+            f"{drive.name} cannot be smoothed: a measurement or a sigma is off by orders of "
+            "magnitude, so that rounding errors outweigh the rest; look for leaps in the data "
+            "and for sigmas near zero"
+        ) from None
+
+
+def _solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Solution, dict[str, str]]:
+    """Do the work of `solve_with_trust`; raises LinAlgError too."""
     drive = trim_to_truth(drive)
     front = look_around(drive)
     problem, solution = _solve(drive, settings, front)
@@ -129,7 +149,7 @@ def solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Solutio
             looked = True
         before, far = strain(solution), stretch(problem, solution)
         lost, own = doubted(solution), bent(suspect, problem, solution)
-        arbiter = any(t.kind in ARBITERS and t.sensor != "start" for t in problem.tables)
+        arbiter = any(_tells(t) for t in problem.tables)
         own = own if arbiter else 0.0
         if before < STRAINED and far < STRETCHED and lost < AT_ODDS and own < STRANGE:
             continue
