@@ -22,7 +22,7 @@ from fgloc.calibration.optimisers.swerve_problem import (
 )
 from fgloc.datasets.registry import load_drive
 from fgloc.errors import FglocError
-from fgloc.experiments.seed_d.calibration import total_error
+from fgloc.experiments.seed_d.calibration_tables import total_error
 
 DATA = Path(os.environ.get("FGLOC_DATA", "/nowhere"))
 recorded = pytest.mark.skipif(
@@ -57,24 +57,38 @@ def test_the_kinematics_by_hand() -> None:
 
 
 @recorded
-def test_gradient_and_hessian_agree_with_finite_differences() -> None:
+def test_derivatives_agree_with_finite_differences() -> None:
     p = problem()
     at = p.nominal + 0.3 * p.width * np.random.default_rng(0).uniform(-1, 1, 12)
-    cost, gradient, hessian = p.normal(at)
+    cost, gradient = p.gradient(at)
     assert cost == pytest.approx(p.cost(at), rel=1e-12)
     steps = 1e-7 * np.eye(12)
     numeric = [(p.cost(at + e) - p.cost(at - e)) / 2e-7 for e in steps]
     np.testing.assert_allclose(gradient, numeric, rtol=1e-4, atol=1e-6 * np.abs(gradient).max())
-    np.testing.assert_allclose(p.gradient(at)[1], gradient, rtol=1e-12)
-    # Gauss–Newton's from residuals: JᵀJ of the paths themselves.
+    # J is the sum of squares over all paths, and its gradient 2 Jᵀr, from the paths themselves.
     run = p.runs[0]
     one = replace(p, runs=(run,))
+    residual = (seed_path(run, at)[1:] - run.truth).ravel()
+    assert one.cost(at) == pytest.approx(float(residual @ residual), rel=1e-12)
     columns = [
         ((seed_path(run, at + e) - seed_path(run, at - e)) / 2e-7)[1:].ravel() for e in steps
     ]
-    jacobian = np.array(columns).T
+    expected = 2.0 * np.array(columns) @ residual
     np.testing.assert_allclose(
-        one.normal(at)[2], 2.0 * jacobian.T @ jacobian, rtol=1e-4, atol=1e-6 * hessian.max()
+        one.gradient(at)[1], expected, rtol=1e-4, atol=1e-6 * np.abs(expected).max()
+    )
+    # Second derivatives: four costs for each pair, with steps that rounding allows.
+    wide = 1e-4 * np.eye(12)
+    second = [
+        [
+            (p.cost(at + d + e) - p.cost(at + d - e) - p.cost(at - d + e) + p.cost(at - d - e))
+            / 4e-8
+            for e in wide
+        ]
+        for d in wide
+    ]
+    np.testing.assert_allclose(
+        p.second_derivatives(at), second, rtol=1e-3, atol=1e-4 * np.abs(second).max()
     )
 
 

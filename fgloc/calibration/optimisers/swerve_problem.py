@@ -70,24 +70,12 @@ class SwerveProblem:
         """Return J. O(samples) in compiled code."""
         return sum(_run_cost(r.angles, r.steering, r.start, r.truth, parameters) for r in self.runs)
 
-    def normal(self, parameters: Floats) -> tuple[float, Floats, Floats]:
-        """Return J, its gradient (12,) and the Gauss–Newton Hessian (12, 12) of J.
-
-        O(12 · samples) in compiled code; no Jacobian is stored.
-        """
-        total, gradient, hessian = 0.0, np.zeros(12), np.zeros((12, 12))
-        for r in self.runs:
-            total += _run_normal(
-                r.angles, r.steering, r.start, r.truth, parameters, gradient, hessian
-            )
-        return total, 2.0 * gradient, 2.0 * hessian
-
     def gradient(self, parameters: Floats) -> tuple[float, Floats]:
-        """Return J and its gradient (12,). O(12 · samples) in compiled code."""
-        total, out, unused = 0.0, np.zeros(12), np.zeros((0, 0))
+        """Return J and its gradient (12,); no Jacobian is stored. O(12 · samples), compiled."""
+        total, half = 0.0, np.zeros(12)
         for r in self.runs:
-            total += _run_normal(r.angles, r.steering, r.start, r.truth, parameters, out, unused)
-        return total, 2.0 * out
+            total += _run_gradient(r.angles, r.steering, r.start, r.truth, parameters, half)
+        return total, 2.0 * half
 
     def merged(self, count: int) -> SwerveProblem:
         """Return a coarser copy: `count` intervals as one, with their mean steering angles.
@@ -183,18 +171,24 @@ def largest_errors(run: SwerveRun, parameters: Floats) -> Floats:
 
 
 @compiled
+def _interval(angles: Floats, steering: Floats, p: Floats) -> tuple[float, float, float]:
+    """Return the body displacement of one interval, from its (4,) angles and steering angles."""
+    x = y = turn = 0.0
+    for i in range(4):
+        a, b = p[i], p[4 + i]
+        v = p[8 + i] * angles[i]
+        c, s = np.cos(steering[i]), np.sin(steering[i])
+        x += 0.25 * v * c
+        y += 0.25 * v * s
+        turn += v * (a * s - b * c) / (4.0 * (a * a + b * b))
+    return x, y, turn
+
+
+@compiled
 def _displacements(angles: Floats, steering: Floats, p: Floats, out: Floats) -> None:
     """Write the body displacements of all intervals into `out` (N, 3)."""
     for k in range(angles.shape[0]):
-        x = y = turn = 0.0
-        for i in range(4):
-            a, b = p[i], p[4 + i]
-            v = p[8 + i] * angles[k, i]
-            c, s = np.cos(steering[k, i]), np.sin(steering[k, i])
-            x += 0.25 * v * c
-            y += 0.25 * v * s
-            turn += v * (a * s - b * c) / (4.0 * (a * a + b * b))
-        out[k, 0], out[k, 1], out[k, 2] = x, y, turn
+        out[k, 0], out[k, 1], out[k, 2] = _interval(angles[k], steering[k], p)
 
 
 @compiled
@@ -203,14 +197,7 @@ def _run_cost(angles: Floats, steering: Floats, start: Floats, truth: Floats, p:
     x, y, heading = start[0], start[1], start[2]
     total = 0.0
     for k in range(angles.shape[0]):
-        vx = vy = turn = 0.0
-        for i in range(4):
-            a, b = p[i], p[4 + i]
-            v = p[8 + i] * angles[k, i]
-            c, s = np.cos(steering[k, i]), np.sin(steering[k, i])
-            vx += 0.25 * v * c
-            vy += 0.25 * v * s
-            turn += v * (a * s - b * c) / (4.0 * (a * a + b * b))
+        vx, vy, turn = _interval(angles[k], steering[k], p)
         c, s = np.cos(heading), np.sin(heading)
         x += c * vx - s * vy
         y += s * vx + c * vy
@@ -221,33 +208,22 @@ def _run_cost(angles: Floats, steering: Floats, start: Floats, truth: Floats, p:
 
 
 @compiled
-def _run_normal(
-    angles: Floats,
-    steering: Floats,
-    start: Floats,
-    truth: Floats,
-    p: Floats,
-    gradient: Floats,
-    hessian: Floats,
+def _run_gradient(
+    angles: Floats, steering: Floats, start: Floats, truth: Floats, p: Floats, half: Floats
 ) -> float:
-    """Return the cost of one run; add Jᵀr to `gradient` and, unless empty, JᵀJ to `hessian`."""
-    whole = hessian.size > 0
+    """Return the cost of one run; add Jᵀr, half its gradient, to `half` (12,)."""
     x, y, heading = start[0], start[1], start[2]
     d = np.zeros((3, 12))
     by_way = np.zeros((2, 12))
+    cos, sin = np.zeros(4), np.zeros(4)
     total = 0.0
     for k in range(angles.shape[0]):
-        vx = vy = turn = 0.0
-        c0, s0 = np.cos(heading), np.sin(heading)
+        vx, vy, turn = _interval(angles[k], steering[k], p)
         for i in range(4):
-            a, b, r = p[i], p[4 + i], p[8 + i]
-            v = r * angles[k, i]
-            c, s = np.cos(steering[k, i]), np.sin(steering[k, i])
-            vx += 0.25 * v * c
-            vy += 0.25 * v * s
-            turn += v * (a * s - b * c) / (4.0 * (a * a + b * b))
-            by_way[0, 8 + i] = 0.25 * angles[k, i] * c
-            by_way[1, 8 + i] = 0.25 * angles[k, i] * s
+            cos[i], sin[i] = np.cos(steering[k, i]), np.sin(steering[k, i])
+            by_way[0, 8 + i] = 0.25 * angles[k, i] * cos[i]
+            by_way[1, 8 + i] = 0.25 * angles[k, i] * sin[i]
+        c0, s0 = np.cos(heading), np.sin(heading)
         mx, my = c0 * vx - s0 * vy, s0 * vx + c0 * vy
         for j in range(12):
             d[0, j] += -my * d[2, j] + c0 * by_way[0, j] - s0 * by_way[1, j]
@@ -256,11 +232,10 @@ def _run_normal(
         for i in range(4):
             a, b, r = p[i], p[4 + i], p[8 + i]
             v = r * angles[k, i]
-            c, s = np.cos(steering[k, i]), np.sin(steering[k, i])
             n = 4.0 * (a * a + b * b)
-            w = (a * s - b * c) / n
-            d[2, i] += v * (s - 8.0 * a * w) / n
-            d[2, 4 + i] += v * (-c - 8.0 * b * w) / n
+            w = (a * sin[i] - b * cos[i]) / n
+            d[2, i] += v * (sin[i] - 8.0 * a * w) / n
+            d[2, 4 + i] += v * (-cos[i] - 8.0 * b * w) / n
             d[2, 8 + i] += angles[k, i] * w
         x += mx
         y += my
@@ -269,13 +244,5 @@ def _run_normal(
         for m in range(3):
             total += e[m] * e[m]
             for j in range(12):
-                gradient[j] += d[m, j] * e[m]
-            if whole:
-                for j in range(12):
-                    for i in range(j + 1):
-                        hessian[j, i] += d[m, j] * d[m, i]
-    if whole:
-        for j in range(12):
-            for i in range(j):
-                hessian[i, j] = hessian[j, i]
+                half[j] += d[m, j] * e[m]
     return total
