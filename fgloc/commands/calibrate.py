@@ -43,10 +43,7 @@ def run(args: argparse.Namespace) -> int:
             "drives that it has not seen"
         )
     with ProgressLines("calibrating") as progress, telling_of_compilation(progress.say):
-        drives = []
-        for k, name in enumerate([*fit, *others], 1):
-            drives.append(_load(args, name))
-            progress.step(k, len(fit) + len(others) + 1, f"{name} read")
+        drives = _load(args, [*fit, *others], progress)
         used, judged = drives[: len(fit)], drives[len(fit) :]
         judged = judged or [d for d in used if d.truth is not None]
         settings = CalibrationSettings(args.reference, args.model)
@@ -56,12 +53,16 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _load(args: argparse.Namespace, name: str) -> Drive:
-    """Return one drive, prepared as the options want it."""
+def _load(args: argparse.Namespace, names: Sequence[str], progress: ProgressLines) -> list[Drive]:
+    """Return the drives, prepared as the options want them."""
     topics = None if args.topics is None else load_topics(args.topics)
     fixes = None if args.fixes is None else parse_fixes(args.fixes)
-    drive = load_drive(name, args.data, topics)
-    return prepared(drive, args.robot, args.encoder_selection, fixes, args.seed)
+    drives = []
+    for k, name in enumerate(names, 1):
+        drive = load_drive(name, args.data, topics)
+        drives.append(prepared(drive, args.robot, args.encoder_selection, fixes, args.seed))
+        progress.step(k, len(names) + 1, f"{name} read")
+    return drives
 
 
 def _deliver(args: argparse.Namespace, report: CalibrationReport, judged: Sequence[Drive]) -> None:
