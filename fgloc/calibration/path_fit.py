@@ -37,8 +37,8 @@ BEGIN = np.array([0.05, 0.05, 0.05])
 """Sizes of what is left of a path, before they are estimated [m, m, rad]."""
 ROUNDS = 30
 """Most steps of the least squares."""
-DONE = 1e-5
-"""Steps smaller than this part of a sigma end the search."""
+DONE = 1e-3
+"""Steps smaller than this part of a posterior sigma end the search."""
 MIN_CLUSTERS = 4
 """Drives from which on the spread between them tells standard deviations."""
 
@@ -143,6 +143,8 @@ class _Step:
     """(G,) gradient of each drive's cost by them."""
     own: list[Floats]
     """(L, L) covariance of each drive's own variables, the shared ones known."""
+    sigma: Floats
+    """(G,) standard deviations of the shared variables by least squares."""
 
 
 def rows_of(data: PathData, model: Model, u: Floats, local: Floats) -> Rows:
@@ -183,14 +185,14 @@ def fit_paths(
     model: Model,
     begin: Floats | None = None,
     most: int = ROUNDS,
+    done: float = DONE,
 ) -> PathFit:
     """Return the parameters that fit all drives best; `begin` (G,) is where the search starts.
 
-    `most` steps are taken at most.
-
-    Levenberg–Marquardt; sizes and weights are estimated anew after every step. O(N·P) an
-    evaluation in compiled code, five to ten of them. Raises FglocError where the wheels do not
-    determine the motion or nothing finite comes out.
+    It ends after `most` steps, or one of less than `done` posterior sigmas. Levenberg–Marquardt;
+    sizes and weights are estimated anew after every step. O(N·P) an evaluation in compiled code,
+    three to ten of them. Raises FglocError where the wheels do not determine the motion or
+    nothing finite comes out.
     """
     prior = np.asarray(np.linalg.inv(prior_covariance(model.parameters)), dtype=np.float64)
     u = np.zeros(len(model.parameters)) if begin is None else begin.copy()
@@ -199,7 +201,7 @@ def fit_paths(
     rows = [rows_of(d, model, u, v) for d, v in zip(data, local, strict=True)]
     damping, evaluations, converged = 0.0, 1, False
     for round_ in range(most):
-        if round_:
+        if round_ or begin is not None:
             size, weights = sizes(data, rows, weights)
         cost = _cost(rows, u, local, size, weights, prior)
         if not np.isfinite(cost):
@@ -224,8 +226,7 @@ def fit_paths(
             damping = max(10.0 * damping, 1e-3)
         u, local, rows = trial_u, trial_local, trial
         damping *= 0.1 if damping > 1e-6 else 0.0
-        scaled = np.abs(step) * np.sqrt(np.diag(prior))
-        if round_ > 2 and np.max(scaled, initial=0.0) < DONE:
+        if round_ and np.max(np.abs(step) / found.sigma, initial=0.0) < done:
             converged = True
             break
     size, weights = sizes(data, rows, weights)
@@ -304,10 +305,11 @@ def _step(
         gradient.append(j.T @ e - cross @ own @ right)
         kept.append((own, cross, right))
     h = prior + np.sum(information, axis=0)
+    sigma = np.asarray(np.sqrt(np.diag(np.linalg.inv(h))), dtype=np.float64)
     h = h + damping * np.diag(np.diag(h))
     step = np.asarray(-np.linalg.solve(h, prior @ u + np.sum(gradient, axis=0)), dtype=np.float64)
     steps = [-own @ (right + cross.T @ step) for own, cross, right in kept]
-    return _Step(step, steps, information, gradient, [own for own, _, _ in kept])
+    return _Step(step, steps, information, gradient, [own for own, _, _ in kept], sigma)
 
 
 def _covariance(inverse: Floats, prior: Floats, gradient: Sequence[Floats]) -> Floats:

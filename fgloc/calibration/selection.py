@@ -21,6 +21,8 @@ PIECES = 6
 """Pieces that few drives are cut into, each, for choosing a model."""
 NO_WORSE = 0.03
 """A simpler model is taken if the error left out grows by no more than this part."""
+ROUGH = 0.03
+"""Steps of less than this part of a posterior sigma end the fits that are compared."""
 LOOK = 2
 """Steps of a fit that only tells whether clocks are worth a search."""
 LATE_S = 0.1
@@ -68,18 +70,34 @@ def select(
     parts = list(data)
     if len(data) < MIN_DRIVES and len(choices) > 1:
         parts = [piece for d in data for piece in pieces(d, PIECES)]
-    fits = [
-        fit_paths(data, m, None if b is None else b.u) for m, b in zip(tried, begins, strict=True)
-    ]
+    fits: list[PathFit] = []
+    for model, began in zip(tried, begins, strict=True):
+        found = _of_simpler(model, fits)
+        if found is None and began is not None:
+            found = began.u
+        fits.append(fit_paths(data, model, found, done=ROUGH))
     best = 0
     candidates: tuple[Candidate, ...] = ()
     if len(choices) > 1 and len(parts) >= MIN_DRIVES:
         best, candidates = _compare(data, parts, choices, fits)
-    fit, clocks, notes = _with_clocks(data, fits[best])
+    fit, clocks, notes = _with_clocks(data, fit_paths(data, tried[best], fits[best].u))
     if not clocks and len(parts) >= MIN_DRIVES:
         fit, late = _with_offset(data, parts, fit)
         notes += late
     return Selected(choices[best], fit, candidates, clocks, begins[best], notes)
+
+
+def _of_simpler(model: Model, fits: Sequence[PathFit]) -> Floats | None:
+    """Return the solution of the largest simpler model, what it does not have at nominal; or None.
+
+    A model that adds parameters to another begins where that ended, so that a step or two is left.
+    """
+    names = [p.name for p in model.parameters]
+    for fit in reversed(fits):
+        found = {p.name: k for k, p in enumerate(fit.model.parameters)}
+        if found.keys() <= set(names):
+            return np.array([fit.u[found[n]] if n in found else 0.0 for n in names])
+    return None
 
 
 def _compare(
