@@ -19,6 +19,7 @@ from fgloc.core.robot import Robot
 from fgloc.errors import FglocError
 from fgloc.factors.robust import PLAIN
 from fgloc.factors.tables import Kind
+from fgloc.online.alarm import Alarm, Pause
 from fgloc.online.clock import Clock
 from fgloc.online.fixes import Fix, FixTable
 from fgloc.online.incremental import IncrementalSmoother
@@ -62,6 +63,8 @@ BROKEN = (FglocError, ArithmeticError, ValueError, RuntimeError)
 """What a solver may raise over numbers it cannot digest (numpy's and GTSAM's errors are these)."""
 SPARSE = 5.0
 """With a lidar keyframes are so many times rarer: its scans make those that are needed."""
+CONTRADICTED = "found to contradict the others"
+"""Why factors were taken out of the window."""
 ASIDE = 1000
 """Readings that are put aside at most while the clock is in doubt."""
 
@@ -89,12 +92,15 @@ class OnlineEngine:
         mapping = any(isinstance(s, LandmarkSightings | Scans) for s in sensors)
         able = isinstance(self.smoother, WindowSmoother) and not mapping
         self.trust = Trust(self.map_smoother) if able else None
+        self.alarm = Alarm(self.map_smoother) if able else None
+        self.pauses: list[Pause] = []
         self.slip: SlipWatch | None = None
         self.clock = Clock()
         self.rebuilds = 0
         self.updates = 0
         self._mark: dict[tuple[str, Kind], int] = {}
         self.left_out: dict[str, str] = {}
+        self.remarks: list[str] = []
         self.sensors = tuple(sensors)
         self.streams: dict[str, Stream] = {}
         self.spots = Spots(self)
@@ -104,7 +110,7 @@ class OnlineEngine:
         self._sizes = {s.sensor: size_of(s) for s in sensors}
         self._scans = tuple(s.sensor for s in sensors if isinstance(s, Scans))
         self.held = np.zeros(len(robot.base.driven))
-        self.now_ns = 0
+        self.began_ns = self.now_ns = 0
         self.dirty: int | None = None
 
     def begin(self, stamp_ns: int, start: Start | None) -> None:
@@ -118,7 +124,7 @@ class OnlineEngine:
         if start is not None:
             state[:3] = start.base
         self.clock.admit(stamp_ns)
-        self.now_ns = stamp_ns
+        self.began_ns = self.now_ns = stamp_ns
         window.add_keyframe(stamp_ns, state)
         window.prior = first_prior(window, state, np.zeros((layout.width, layout.width)))
         known = window.table(Kind.POSE_FIX, START, (6, 3), layout.places[START].block, PLAIN)
@@ -200,7 +206,7 @@ class OnlineEngine:
         fault = reading_fault(values, self._sizes[sensor], sensor in self._scans)
         if not fault and isinstance(self.spots.tables.get(sensor), FixTable):
             fault = sigma_fault(sigma, self._sizes[sensor])
-        if sensor in self.left_out:
+        if sensor in self.left_out or self._paused(sensor, stamp_ns):
             tally.reject("contradicts the others")
         elif fault:
             tally.reject(fault)
@@ -367,9 +373,19 @@ class OnlineEngine:
             self._restart()
             for sensor, weights in self.smoother.update(changed, joint, moved).items():
                 dropped[sensor] = np.concatenate([dropped.get(sensor, weights[:0]), weights])
+        if self.alarm is not None:
+            pause = self.alarm.relapse()
+            if pause is None and self.alarm.raised():
+                pause = self.alarm.look()
+            if pause is not None:
+                self._do_without(pause)
+                for sensor, weights in self.smoother.update(None, joint, moved).items():
+                    dropped[sensor] = np.concatenate([dropped.get(sensor, weights[:0]), weights])
         if self.trust is not None and self.smoother.smoothed_whole:
             verdict = self.trust.look()
-            if verdict is not None:
+            if verdict is not None and verdict.lost is None:
+                self.remarks.append(verdict.reason)
+            elif verdict is not None:
                 self._leave_out(verdict)
         return dropped
 
@@ -392,10 +408,25 @@ class OnlineEngine:
             state, joint = self.propagation.state, self.propagation.joint()
             return self.smoother.abandon(self.now_ns, state, joint)
 
+    def _do_without(self, pause: Pause) -> None:
+        """Do without a sensor for a while."""
+        self.pauses.append(pause)
+        self.streams[pause.sensor].forget(pause.begin_ns)
+        self.tally[pause.sensor].reject(CONTRADICTED, pause.lost)
+
+    def _paused(self, sensor: str, stamp_ns: int) -> bool:
+        """Return True while a sensor is not believed."""
+        return any(
+            p.sensor == sensor
+            and p.begin_ns <= stamp_ns
+            and (p.until_ns is None or stamp_ns < p.until_ns)
+            for p in self.pauses
+        )
+
     def _leave_out(self, verdict: Verdict) -> None:
         """Do without a sensor from now on."""
         self.streams.pop(verdict.sensor)
-        self.tally[verdict.sensor].reject("found to contradict the others", verdict.lost)
+        self.tally[verdict.sensor].reject(CONTRADICTED, verdict.lost or 0)
         self.left_out[verdict.sensor] = verdict.reason
 
     def finish(self) -> None:

@@ -48,6 +48,8 @@ class LiveTable:
         self.added = 0
         # How many rows had been added before each one: the newest can be taken back.
         self.serial = GrowingArray((), np.int64)
+        # Whether a new row that surprises is worth nothing, whatever the loss says.
+        self.strict = False
         # Robust weight of each row; infinite until the row has been judged.
         self.weight = GrowingArray(())
 
@@ -116,6 +118,17 @@ class LiveTable:
         for column in self._columns:
             column.drop(count)
         return weights
+
+    def forget(self, since: int) -> int:
+        """Forget the factors whose first keyframe is `since` or later; return how many they were.
+
+        Not for kinds that see landmarks.
+        """
+        count = int(np.searchsorted(self.first.view, since))
+        lost = len(self.first) - count
+        for column in self._columns:
+            column.replace(column.view[:count].copy())
+        return lost
 
     def take_back(self, since: int = 0) -> int:
         """Forget the rows added after the first `since` ever; return how many they were."""

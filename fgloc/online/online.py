@@ -11,6 +11,7 @@ from fgloc.core.geometry import compose
 from fgloc.core.measurements import CameraPoses, PoseFixes, PositionFixes
 from fgloc.core.start import start_pose, trim_to_truth
 from fgloc.estimator import Result, WheelSlip, calibration_of
+from fgloc.online.alarm import pause_notes
 from fgloc.online.engine import OnlineEngine, Start
 from fgloc.online.session import ReplayOptions, Session
 from fgloc.online.settings import OnlineSettings
@@ -98,6 +99,8 @@ def seen_by_others(engine: OnlineEngine) -> bool:
 def notes(engine: OnlineEngine) -> Iterator[str]:
     """Yield what a user should know about what the engine met."""
     yield from engine.left_out.values()
+    yield from engine.remarks
+    yield from pause_notes(engine.pauses, engine.began_ns)
     for name, tally in engine.tally.items():
         for reason, count in tally.rejected.items():
             what = "1 measurement" if count == 1 else f"{count} measurements"

@@ -9,6 +9,7 @@ import numpy as np
 from fgloc.core.compiled import compiled
 from fgloc.core.geometry import compose
 from fgloc.core.measurements import Floats, Stamps
+from fgloc.factors.robust import FAINT
 from fgloc.factors.tables import FactorTable, Linearised, linearise
 from fgloc.online.live_table import LiveTable
 from fgloc.online.priors import Posterior
@@ -98,7 +99,8 @@ def judge(
     innovation += np.eye(jacobian.shape[1])
     r = linear.residual[new]
     nis = np.einsum("ka,ka->k", r, np.linalg.solve(innovation, r[:, :, None])[:, :, 0])
-    weight[new] = np.where(nis > gate, live.loss.weight(nis), 1.0)
+    doubtful = FAINT if live.strict else live.loss.weight(nis)
+    weight[new] = np.where(nis > gate, doubtful, 1.0)
     return Judged(live, nis, r.shape[1])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,10 +50,18 @@ def prior_table(
     )
 
 
-def first_prior(window: Window, state: Floats, root: Floats) -> FactorTable:
-    """Return the prior of a state (B,) with square-root information (B, B), robot at nominal."""
+def first_prior(
+    window: Window, state: Floats, root: Floats, sigmas: Mapping[str, float] | None = None
+) -> FactorTable:
+    """Return the prior of a state (B,) with square-root information (B, B), robot at nominal.
+
+    `sigmas` are standard deviations of parameters, by name, that differ from the layout's.
+    """
     layout = window.layout
-    b, parameters = layout.width, layout.parameters
+    b, given = layout.width, sigmas or {}
+    parameters = [
+        replace(p, prior_sigma=given.get(p.name, p.prior_sigma)) for p in layout.parameters
+    ]
     whole = np.zeros((layout.size, layout.size))
     whole[:b, :b] = root
     whole[b:, b:] = np.linalg.inv(np.linalg.cholesky(prior_covariance(parameters)))

@@ -10,8 +10,8 @@ join the calibration in one border; the others are put aside (`fgloc.online.land
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,11 +19,11 @@ from fgloc.core.consistency import gate_threshold
 from fgloc.core.geometry import chain
 from fgloc.core.measurements import Floats
 from fgloc.errors import FglocError
-from fgloc.factors.tables import FactorTable
+from fgloc.factors.tables import FactorTable, linearise
 from fgloc.online.descent import descend
+from fgloc.online.evidence import Evidence, Trial, before, evidence, mean_cost
 from fgloc.online.keeper import Keeper
 from fgloc.online.landmarks import informed, split
-from fgloc.online.live_table import LiveTable
 from fgloc.online.passes import (
     Judged,
     Judging,
@@ -57,8 +57,6 @@ SURE = 0.1
 """Heading sigma [rad] up to which summing up old keyframes does no harm."""
 SELDOM = 30
 """Keyframes of the window for each one between two passes over all of it, at least."""
-FEWEST = 2
-"""Fewer factors of fixes and cameras in the window do not tell whether it is right."""
 STEPS = 12
 """Steps that a search for a minimum may take: the robot does not stand still meanwhile."""
 ROUGH = 1e-3
@@ -75,41 +73,13 @@ class SolverError(FglocError):
     """The window does not determine its keyframes, whatever is tried."""
 
 
-@dataclass(frozen=True)
-class Trial:
-    """The window solved in another way."""
-
-    point: Point
-    """States, calibration and weights."""
-    tables: tuple[FactorTable, ...]
-    """Its factors."""
-    squared: tuple[Floats, ...]
-    """(M,) squared whitened residuals of them."""
-    calibration: Floats
-    """(G,) calibration."""
-
-
-def mean_cost(tables: Sequence[FactorTable], squared: Sequence[Floats]) -> float:
-    """Return the mean robust cost per residual component of fixes and cameras; 0 if too few.
-
-    About 0.5 where the noise models are right.
-    """
-    cost, count, rows = 0.0, 0, 0
-    for table, values in zip(tables, squared, strict=True):
-        if table.kind in ARBITERS and table.sensor != "start":
-            cost += float(np.sum(table.loss.cost(values)))
-            count += values.size * table.dimension
-            rows += values.size
-    return cost / count if rows >= FEWEST else 0.0
-
-
 class WindowSmoother:
     """Keeps a window solved."""
 
     def __init__(self, window: Window, settings: OnlineSettings) -> None:
         self.window = window
         self._settings = settings
-        self._gates = {d: gate_threshold(settings.gate_probability, d) for d in (1, 2, 3)}
+        self.gates = {d: gate_threshold(settings.gate_probability, d) for d in (1, 2, 3)}
         self._since_whole = 0
         self.border = np.zeros(len(window.layout.parameters))
         self._posterior: Posterior | None = None
@@ -191,7 +161,7 @@ class WindowSmoother:
         """
         window, solved = self.window, self.posterior
         self._since_whole += window.newest - solved.number
-        judging = (joint, moved, self._gates)
+        judging = (joint, moved, self.gates)
         # A long window is linearised anew the more seldom, so that the effort stays the same.
         often = max(self._settings.relinearise_every, len(window.stamps_ns) // SELDOM)
         if self._since_whole < often and not (self.wanted or self._anew):
@@ -216,7 +186,7 @@ class WindowSmoother:
         if self.wanted:
             wanted, self.wanted = self.wanted, []
             self.border = self._keeper.take_back(wanted, self.border)
-        step = self._whole((joint, moved, self._gates))
+        step = self._whole((joint, moved, self.gates))
         return self._slide(self._explore() or step)
 
     def inform(self, residual: Floats, by_border: Floats) -> None:
@@ -242,9 +212,22 @@ class WindowSmoother:
         )
         return numbers
 
+    def look_again(self) -> None:
+        """Let the next update go over the whole window."""
+        self._anew = True
+
     def strain(self) -> float:
         """Return the mean cost of fixes and cameras in the last pass over the whole window."""
         return self._strain
+
+    def evidence(self) -> Evidence:
+        """Return what fixes and cameras say of the window. O(K)."""
+        window = self.window
+        tables = window.factors(window.base, window.tables.values())
+        known = {(t.sensor, t.kind): t.weight.view for t in window.tables.values()}
+        states, u = window.states.view, self.calibration
+        squared = [linearise(t, states, u).squared for t in tables]
+        return evidence(tables, squared, [known[t.sensor, t.kind][: t.first.size] for t in tables])
 
     def _explore(self) -> Pass | None:
         """Look for a better minimum where the fixes are missed, more seldom the more in vain.
@@ -318,15 +301,17 @@ class WindowSmoother:
             self.border = descend(self.window, self.border)
             self.window.integrate_again(self.calibration)
             return
-        self._move_to(self._minimum(self.window.prior, self.window.tables.values(), explore))
+        window = self.window
+        tables = window.factors(window.base, window.tables.values())
+        self._move_to(self._minimum(self.window.prior, tables, explore))
 
-    def _minimum(self, prior: FactorTable, live: Iterable[LiveTable], explore: bool) -> Point:
+    def _minimum(self, prior: FactorTable, factors: Sequence[FactorTable], explore: bool) -> Point:
         """Return the best minimum of the window with these factors and the wheels'.
 
         `explore`: try other starting points where the first leads to one that misses the fixes.
         """
         window = self.window
-        tables = (prior, *window.factors(window.base, live))
+        tables = (prior, *factors)
         problem = window.problem(window.base, window.newest + 1, tables)
         free = CalibrationPrior.flat(self.calibration.size)
         best: Point | None = None
@@ -375,27 +360,37 @@ class WindowSmoother:
                 if (table.sensor, table.kind) == (live.sensor, live.kind):
                     live.weight.view[live.rows(window.base, end)] = weights
 
-    def solve_without(self, sensor: str, prior: FactorTable) -> Trial:
-        """Solve the window from `prior` without a sensor; the window stays as it is."""
-        others = [t for t in self.window.tables.values() if t.sensor != sensor or t.kind in HIDDEN]
-        point = self._minimum(prior, others, True)
-        squared = tuple(rows.squared for rows in point.linear)
-        return Trial(point, point.tables, squared, point.u)
+    def solve_without(self, sensor: str | None, prior: FactorTable, since: int = 0) -> Trial:
+        """Solve the window from `prior` without what a sensor measured from keyframe `since` on.
 
-    def adopt(self, trial: Trial, sensor: str, prior: FactorTable) -> int:
+        None: with all sensors. The window stays as it is.
+        """
+        window = self.window
+        tables = [
+            before(t, since - window.base) if t.sensor == sensor and t.kind not in HIDDEN else t
+            for t in window.factors(window.base, window.tables.values())
+        ]
+        return Trial(self._minimum(prior, [t for t in tables if t.first.size], True))
+
+    def adopt(self, trial: Trial, sensor: str | None, prior: FactorTable, since: int = 0) -> int:
         """Make a trial's solution the window's, and forget the sensor's factors.
 
         Returns how many they were.
         """
-        window = self.window
-        lost = 0
-        for table in window.tables.values():
-            if table.sensor == sensor and table.kind not in HIDDEN:
-                lost += table.take_back()
-        window.prior = prior
+        lost = self.forget(sensor, since)
+        self.window.prior = prior
         self._move_to(trial.point)
         self._whole(None)
         return lost
+
+    def forget(self, sensor: str | None, since: int) -> int:
+        """Forget a sensor's factors from keyframe `since` on; return how many they were.
+
+        The next update is over all.
+        """
+        self._anew = True
+        tables = self.window.tables.values()
+        return sum(t.forget(since) for t in tables if t.sensor == sensor and t.kind not in HIDDEN)
 
     @property
     def _unsettled(self) -> bool:

@@ -65,6 +65,11 @@ class Stream(ABC):
         if at > 0:
             del self.stamps[:at], self.values[:at]
 
+    def forget(self, since_ns: int) -> None:
+        """Forget readings from a stamp on."""
+        at = bisect_left(self.stamps, since_ns)
+        del self.stamps[at:], self.values[at:]
+
     def numbers(self, begin_ns: int, end_ns: int) -> range:
         """Return the numbers of the live keyframes with begin ≤ stamp ≤ end."""
         w = self.window

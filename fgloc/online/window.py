@@ -325,6 +325,10 @@ class Window:
                 found.append(live.view(rows, begin))
         return found
 
+    def wheel_factors(self) -> FactorTable:
+        """Return the wheels' factors between all keyframes, as integrated last."""
+        return self.wheels.view(self.wheels.rows(self.base, self.newest + 1), self.base)
+
     def drop(self, before: int) -> dict[str, Floats]:
         """Forget keyframes older than `before`; return the last weights of what was dropped.
 

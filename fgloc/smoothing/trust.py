@@ -43,9 +43,9 @@ ARBITERS = (Kind.POSITION_FIX, Kind.POSE_FIX, Kind.CAMERA)
 """Sensors that can tell who is right: they see neither magnetic fields nor the wheels."""
 
 
-def _tells(table: FactorTable) -> bool:
+def tells(kind: Kind, sensor: str) -> bool:
     """Return True for the factors of a sensor that can tell who is right."""
-    return table.kind in ARBITERS and table.sensor != "start"
+    return kind in ARBITERS and sensor != "start"
 
 
 def strain(solution: Solution) -> float:
@@ -56,28 +56,33 @@ def strain(solution: Solution) -> float:
     """
     cost, count = 0.0, 0
     for table, rows in zip(solution.point.tables, solution.point.linear, strict=True):
-        if _tells(table):
+        if tells(table.kind, table.sensor):
             cost += float(np.sum(table.loss.cost(rows.squared)))
             count += rows.residual.size
     return cost / max(count, 1)
 
 
-def doubted(solution: Solution) -> float:
-    """Return the share of the factors of fixes and cameras with less than half their weight."""
-    weights = [
-        w
-        for table, w in zip(solution.point.tables, solution.point.weights, strict=True)
-        if _tells(table)
-    ]
-    return float(np.mean(np.concatenate(weights) < HALF)) if weights else 0.0
+def doubted(tables: Sequence[FactorTable], weights: Sequence[Floats]) -> float:
+    """Return the share of the factors of fixes and cameras with less than half their weight.
+
+    `weights` holds the (M,) robust weights of every table; 0 without such factors.
+    """
+    told = [w for table, w in zip(tables, weights, strict=True) if tells(table.kind, table.sensor)]
+    count = sum(w.size for w in told)
+    return sum(int(np.sum(w < HALF)) for w in told) / count if count else 0.0
 
 
-def bent(sensor: str, problem: Problem, solution: Solution) -> float:
+def bent(sensor: str, parameters: Sequence[Parameter], u: Floats) -> float:
     """Return how many prior sigmas a heading sensor's constant drift was pulled away."""
-    for k, p in enumerate(problem.parameters):
+    for k, p in enumerate(parameters):
         if p.name == f"{sensor}_drift":
-            return abs(float(solution.point.u[k])) / p.solver_sigma
+            return abs(float(u[k])) / p.solver_sigma
     return 0.0
+
+
+def _doubted(solution: Solution) -> float:
+    """Return `doubted` of a solution."""
+    return doubted(solution.point.tables, solution.point.weights)
 
 
 def stretch(problem: Problem, solution: Solution) -> float:
@@ -143,13 +148,14 @@ def _solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Soluti
     looked = False
     suspects = [s.sensor for s in drive.sensors if isinstance(s, Yaw | YawRate)]
     for suspect in suspects:
-        believed = strain(solution) < STRAINED and doubted(solution) < AT_ODDS
+        believed = strain(solution) < STRAINED and _doubted(solution) < AT_ODDS
         if not looked and believed:
             problem, solution = look_for_slip(problem, solution, settings)
             looked = True
         before, far = strain(solution), stretch(problem, solution)
-        lost, own = doubted(solution), bent(suspect, problem, solution)
-        arbiter = any(_tells(t) for t in problem.tables)
+        lost = _doubted(solution)
+        own = bent(suspect, problem.parameters, solution.point.u)
+        arbiter = any(tells(t.kind, t.sensor) for t in problem.tables)
         own = own if arbiter else 0.0
         if before < STRAINED and far < STRETCHED and lost < AT_ODDS and own < STRANGE:
             continue
@@ -167,10 +173,10 @@ def _solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Soluti
                 "prior sigmas from nominal, and was left out; if the robot is like that, say so "
                 "with --robot"
             )
-        elif lost >= AT_ODDS and doubted(trial) < GAIN * lost:
+        elif lost >= AT_ODDS and _doubted(trial) < GAIN * lost:
             notes[suspect] = (
                 f"{suspect} contradicts the absolute sensors and was left out: without it "
-                f"{doubted(trial):.0%} of their factors are doubted, not {lost:.0%}"
+                f"{_doubted(trial):.0%} of their factors are doubted, not {lost:.0%}"
             )
         elif own >= STRANGE and after <= before + SAME:
             notes[suspect] = (
@@ -219,9 +225,13 @@ def _with_free_scale(
     for s in cameras:
         k = names.index(f"{s.sensor}_scale")
         told.append(f"{s.sensor}_scale is {other.parameters[k].to_value(trial.point.u[k]):.3f}")
-    note = (
-        f"{' and '.join(s.sensor for s in cameras)} could only be right in scale if the robot's "
-        f"calibration were {far:.1f} prior sigmas from nominal; its scale was freed, and "
-        f"{', '.join(told)} if the wheels are as described; position fixes would tell"
+    return other, trial, scale_note(" and ".join(s.sensor for s in cameras), far, ", ".join(told))
+
+
+def scale_note(who: str, far: float, told: str) -> str:
+    """Return what a user should know of a camera whose scale was freed."""
+    return (
+        f"{who} could only be right in scale if the robot's calibration were {far:.1f} prior "
+        f"sigmas from nominal; its scale was freed, and {told} if the wheels are as described; "
+        "position fixes would tell"
     )
-    return other, trial, note

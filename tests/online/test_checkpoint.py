@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import is_dataclass, replace
 from pathlib import Path
 from types import MethodType
@@ -16,7 +16,7 @@ import pytest
 
 import fgloc
 from fgloc.core.drive import Drive
-from fgloc.core.measurements import Yaw
+from fgloc.core.measurements import Floats, Yaw
 from fgloc.core.start import trim_to_truth
 from fgloc.datasets.simulator import load_sim
 from fgloc.errors import FglocError
@@ -121,19 +121,29 @@ def test_fixes_that_wait_for_the_wheels_and_open_intervals_are_kept(
     assert between > 0
 
 
-def lying(drive: Drive) -> Drive:
-    """Return the drive with a yaw sensor that soon contradicts fixes and wheels."""
+def lying(drive: Drive, change: Callable[[Floats, Floats], Floats]) -> Drive:
+    """Return the drive with a yaw sensor that tells a function of time [s] and true reading."""
     (yaw,) = drive.each(Yaw)
     seconds = (yaw.stamps_ns - yaw.stamps_ns[0]) * 1e-9
-    false = replace(yaw, yaw=yaw.yaw + 0.6 * np.sin(0.5 * seconds))
+    false = replace(yaw, yaw=change(seconds, np.unwrap(yaw.yaw)))
     return replace(drive, sensors=tuple(false if s is yaw else s for s in drive.sensors))
 
 
 def test_goes_on_after_a_sensor_was_left_out(tmp_path: Path) -> None:
-    drive = lying(drive_of("sim:square?robot=differential&duration=30&fix_every=1"))
+    drive = drive_of("sim:square?robot=differential&duration=30&fix_every=1")
+    drive = lying(drive, lambda t, yaw: yaw + 0.6 * np.sin(0.5 * t))
     number = len(list(packets(drive)))
     engine = assert_goes_on(drive, SHORT_LAG, [number // 2, number - 101], tmp_path / "s.npz")
     assert list(engine.left_out) == ["yaw"]
+
+
+def test_goes_on_while_a_sensor_is_not_believed(tmp_path: Path) -> None:
+    drive = drive_of("sim:square?robot=differential&duration=30&gyro=on")
+    drive = lying(drive, lambda t, yaw: yaw + 0.6 * np.sin(0.5 * t))
+    number = len(list(packets(drive)))
+    engine = assert_goes_on(drive, SHORT_LAG, [number // 2, number - 101], tmp_path / "s.npz")
+    assert [p.sensor for p in engine.pauses] == ["yaw"] * len(engine.pauses)
+    assert engine.pauses
 
 
 @pytest.mark.parametrize(
