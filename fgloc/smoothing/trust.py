@@ -15,6 +15,7 @@ from fgloc.errors import FglocError
 from fgloc.factors.tables import FactorTable, Kind
 from fgloc.smoothing.build import build_problem
 from fgloc.smoothing.front import Front, look_around
+from fgloc.smoothing.leaps import without_leaps
 from fgloc.smoothing.mapping import solve_with_walls
 from fgloc.smoothing.optimise import Solution, optimise
 from fgloc.smoothing.problem import Problem
@@ -141,7 +142,19 @@ def solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Solutio
 
 def _solve_with_trust(drive: Drive, settings: Settings) -> tuple[Problem, Solution, dict[str, str]]:
     """Do the work of `solve_with_trust`; raises LinAlgError too."""
-    drive = trim_to_truth(drive)
+    drive, leaps = without_leaps(trim_to_truth(drive))
+    problem, solution, notes = _solve_all(drive, settings)
+    counts = dict(problem.counts)
+    for one in leaps:
+        if one.sensor in counts:
+            used, rejected = counts[one.sensor]
+            counts[one.sensor] = (used, rejected + one.count)
+    told = tuple(one.note for one in leaps)
+    return replace(problem, counts=counts, notes=(*problem.notes, *told)), solution, notes
+
+
+def _solve_all(drive: Drive, settings: Settings) -> tuple[Problem, Solution, dict[str, str]]:
+    """Solve a drive without leaps; see `solve_with_trust`."""
     front = look_around(drive)
     problem, solution = _solve(drive, settings, front)
     notes: dict[str, str] = {}
