@@ -79,7 +79,7 @@ class Trust:
         arbiter = any(tells(t.kind, t.sensor) and t.first for t in smoother.window.tables.values())
         parameters = smoother.window.layout.parameters
         for suspect in suspects:
-            own = bent(suspect, parameters, smoother.calibration) if arbiter else 0.0
+            own = bent(f"{suspect}_drift", parameters, smoother.calibration) if arbiter else 0.0
             if not strained and own < STRANGE:
                 continue
             tried = True

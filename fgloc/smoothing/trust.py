@@ -73,10 +73,10 @@ def doubted(tables: Sequence[FactorTable], weights: Sequence[Floats]) -> float:
     return sum(int(np.sum(w < HALF)) for w in told) / count if count else 0.0
 
 
-def bent(sensor: str, parameters: Sequence[Parameter], u: Floats) -> float:
-    """Return how many prior sigmas a heading sensor's constant drift was pulled away."""
+def bent(parameter: str, parameters: Sequence[Parameter], u: Floats) -> float:
+    """Return how many prior sigmas a parameter was pulled away; 0 where there is none."""
     for k, p in enumerate(parameters):
-        if p.name == f"{sensor}_drift":
+        if p.name == parameter:
             return abs(float(u[k])) / p.solver_sigma
     return 0.0
 
@@ -167,7 +167,7 @@ def _solve_all(drive: Drive, settings: Settings) -> tuple[Problem, Solution, dic
             looked = True
         before, far = strain(solution), stretch(problem, solution)
         lost = _doubted(solution)
-        own = bent(suspect, problem.parameters, solution.point.u)
+        own = bent(f"{suspect}_drift", problem.parameters, solution.point.u)
         arbiter = any(tells(t.kind, t.sensor) for t in problem.tables)
         own = own if arbiter else 0.0
         if before < STRAINED and far < STRETCHED and lost < AT_ODDS and own < STRANGE:
@@ -219,11 +219,14 @@ def _with_free_scale(
 
     Wheels and a camera that disagree about distances by more than both their priors allow cannot
     both be right, and no gyro tells who is. A ruler measured the wheels; so it is taken to be the
-    camera, and said that it may be otherwise. Position fixes decide by themselves.
+    camera, and said that it may be otherwise. Where position fixes decide that it is, its prior is
+    no longer believed: it would pull the scale back by several of its sigmas.
     """
     far = stretch(problem, solution)
     cameras = [s for s in drive.sensors if isinstance(s, CameraPoses) and s.scale_sigma > 0.0]
-    if far < STRETCHED or not cameras:
+    scales = [f"{s.sensor}_scale" for s in cameras]
+    own = [bent(name, problem.parameters, solution.point.u) for name in scales]
+    if not cameras or max(far, *own) < STRETCHED:
         return None
     wide = tuple(
         replace(s, scale_sigma=max(s.scale_sigma, FREE_SCALE)) if s in cameras else s
@@ -231,14 +234,20 @@ def _with_free_scale(
     )
     other, trial = _solve(replace(drive, sensors=wide), settings, front)
     other, trial = look_for_slip(other, trial, settings)
-    if stretch(other, trial) > 0.5 * far:
+    if far >= STRETCHED and stretch(other, trial) > 0.5 * far:
         return None
     names = [p.name for p in other.parameters]
-    told = []
-    for s in cameras:
-        k = names.index(f"{s.sensor}_scale")
-        told.append(f"{s.sensor}_scale is {other.parameters[k].to_value(trial.point.u[k]):.3f}")
-    return other, trial, scale_note(" and ".join(s.sensor for s in cameras), far, ", ".join(told))
+    values = [other.parameters[k].to_value(trial.point.u[k]) for k in map(names.index, scales)]
+    told = ", ".join(f"{n} is {v:.3f}" for n, v in zip(scales, values, strict=True))
+    who = " and ".join(s.sensor for s in cameras)
+    if far >= STRETCHED:
+        return other, trial, scale_note(who, far, told)
+    return (
+        other,
+        trial,
+        f"{who} measures ways {max(own):.0f} prior sigmas too long or too short; its scale was "
+        f"freed, and {told}",
+    )
 
 
 def scale_note(who: str, far: float, told: str) -> str:

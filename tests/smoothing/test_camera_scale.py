@@ -64,8 +64,12 @@ def test_a_wrong_scale_is_estimated_and_named(healthy: Drive, scale: float) -> N
 def test_fixes_decide_about_the_scale(healthy: Drive) -> None:
     result, error = estimate(with_fixes(faulty(healthy, 1.2), 10.0, 0.02, 0))
     assert error < 0.05
-    found, _ = value(result, "camera_scale")
-    assert found == pytest.approx(1.2, abs=0.02)
+    assert healthy.true_calibration is not None
+    true = 1.2 * healthy.true_calibration["camera_scale"]
+    found, sigma = value(result, "camera_scale")
+    # The prior of 1 ± 0.01 would pull it 2.6 of these sigmas towards 1: 0.2 · (0.0013/0.01)².
+    assert abs(found - true) < 2.0 * sigma < 0.004
+    assert any("camera measures ways" in note for note in result.notes)
 
 
 def test_a_turned_mount_is_estimated(healthy: Drive) -> None:
